@@ -1,0 +1,394 @@
+"""From the separable kernel's falloff colour to Burley's albedo and diffuse mean free path.
+
+The separable blur of real-time engines is driven by the falloff profile P(r / phi), phi = falloff + 0.001.
+The papers fit Burley's profile to it by least squares, "with the r term inside", which can be read twice:
+
+- reading "as_coded": r R(r) is fitted to P(r / phi), the kernel as the demo uses it along a line;
+- reading "radial": r R(r) is fitted to r P(r / phi), radial density against radial density.
+
+On an unbounded domain, with unbounded albedo, r = phi rho turns both into one problem in rho, so d is
+proportional to phi, and the albedo to phi ("as_coded") or to phi^2 ("radial"): no table is needed there. The
+bound albedo <= 1 breaks the law for "as_coded" from phi = 0.686 on.
+
+Source: Xie et al. 2020, appendix A.1, Eq 25-27; Xie 2021, appendix A.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from sssfit.fitting import identifiability, quadrature, solve
+from sssfit.fitting.identifiability import Identifiability
+from sssfit.fitting.solve import Solution, SolverChoice
+from sssfit.profiles import burley
+from sssfit.profiles.gaussian_sum import FALLOFF_OFFSET, falloff_profile
+
+Objective = Literal["difference", "ratio", "derivative"]
+Reading = Literal["as_coded", "radial"]
+OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
+READINGS: tuple[Reading, ...] = get_args(Reading)
+
+#: Default falloff of the published demo and of engines, red, green, blue.
+DEFAULT_FALLOFF = (1.0, 0.37, 0.3)
+
+# Half a millionth of the albedo's range from a bound counts as on it.
+_AT_BOUND = 5e-7
+
+
+class Domain(NamedTuple):
+    """Where the two profiles are compared: distances in units of phi, and how they are summed.
+
+    Attributes:
+        lower: smallest distance / phi, >= 0.
+        upper: largest distance / phi.
+        num_points: nodes.
+        spacing: "gauss", the integral over distance (Gauss-Legendre nodes, dense near lower), or
+            "uniform", a plain sum over equidistant points, as the papers print it.
+
+    Example:
+        >>> Domain(0.0, 10.0, 100, "uniform").nodes()[0][:3].round(2)
+        array([0.05, 0.15, 0.25])
+    """
+
+    lower: float = 0.0
+    upper: float = 40.0
+    num_points: int = 128
+    spacing: Literal["gauss", "uniform"] = "gauss"
+
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Distances in units of phi and their weights, shape (num_points,) each.
+
+        Raises:
+            ValueError: the interval is empty or negative, there are fewer than 8 points, or the spacing
+                is unknown.
+        """
+        if not 0 <= self.lower < self.upper < np.inf:
+            raise ValueError(f"domain must have 0 <= lower < upper, got [{self.lower}, {self.upper}]")
+        if self.num_points < 8:
+            raise ValueError(f"num_points must be at least 8, got {self.num_points}")
+        width = self.upper - self.lower
+        if self.spacing == "gauss":
+            unit, weights = quadrature.gauss_legendre(np.array([0.0, 1.0]), self.num_points)
+            # The cube packs nodes at the lower end, where the profiles are steep.
+            return self.lower + width * unit**3, width * 3 * unit**2 * weights
+        if self.spacing == "uniform":
+            cell = width / self.num_points
+            return self.lower + cell * (np.arange(self.num_points) + 0.5), np.full(self.num_points, cell)
+        raise ValueError(f"spacing must be 'gauss' or 'uniform', got {self.spacing!r}")
+
+
+#: Domains used when none is given. The ratio has no optimum on an unbounded domain (Gaussian tails
+#: against exponential ones), nor, in the radial reading, down to 0; its result depends on this choice.
+DEFAULT_DOMAINS: dict[Objective, Domain] = {
+    "difference": Domain(),
+    "ratio": Domain(0.1, 6.0),
+    "derivative": Domain(),
+}
+
+
+@dataclass(frozen=True)
+class SeparableFit:
+    """Burley's parameters for one falloff.
+
+    A parameter that the data do not determine is NaN, and `reason` says why.
+
+    Attributes:
+        falloff: the input.
+        objective: what was minimized.
+        reading: how the profiles were compared.
+        albedo: fitted albedo.
+        d: fitted shape parameter, mm.
+        dmfp: diffuse mean free path, mm, d scaling(albedo); NaN unless both are determined and the
+            albedo lies in [0, 1].
+        albedo_interval: 95 % interval of the albedo, (low, high).
+        d_interval: the same of d, mm.
+        dmfp_interval: the same of dmfp, mm, by linear propagation.
+        relative_residual: root of the objective over that of an all-zero model.
+        at_bound: the albedo lies on its bound.
+        identifiability: singular values and correlations behind the intervals.
+        reason: why a parameter is NaN; empty when none is.
+        converged: every solver that ran met its tolerance.
+        status: the solvers' own words.
+        solutions: one per solver.
+        disagreement: largest relative spread of a parameter among the solvers.
+    """
+
+    falloff: float
+    objective: Objective
+    reading: Reading
+    albedo: float
+    d: float
+    dmfp: float
+    albedo_interval: tuple[float, float]
+    d_interval: tuple[float, float]
+    dmfp_interval: tuple[float, float]
+    relative_residual: float
+    at_bound: bool
+    identifiability: Identifiability
+    reason: str
+    converged: bool
+    status: str
+    solutions: tuple[Solution, ...]
+    disagreement: float
+
+
+def fit(
+    falloff: float,
+    objective: Objective = "difference",
+    *,
+    reading: Reading = "radial",
+    domain: Domain | None = None,
+    weights: Sequence[float] | np.ndarray | None = None,
+    albedo_bounds: tuple[float, float] = (0.0, 1.0),
+    normalize: bool = False,
+    solver: SolverChoice = "optimistix",
+) -> SeparableFit:
+    """Fit Burley's (albedo, d) to the falloff profile of one channel.
+
+    Args:
+        falloff: dimensionless width in (0, 1].
+        objective: "difference" (squared difference), "ratio" (squared relative difference) or
+            "derivative" (squared difference of the slopes in r).
+        reading: "radial" or "as_coded", see the module's text.
+        domain: where to compare; by default `DEFAULT_DOMAINS[objective]`.
+        weights: extra weight of each node's squared residual, >= 0, shape (domain.num_points,).
+        albedo_bounds: box of the albedo; (0, inf) frees it.
+        normalize: compare shapes only, each profile over its own integral on the domain; the albedo
+            then drops out and is refused.
+        solver: "optimistix", "jaxopt", "scipy", or "all" to run the three and compare.
+
+    Returns:
+        A `SeparableFit`. Optima of smooth objectives are good to 1e-7 relative.
+
+    Raises:
+        ValueError: an argument is outside its domain; the message names it.
+
+    Source: Xie et al. 2020, Eq 25 (difference), 26 (ratio), 27 (derivative).
+
+    Example:
+        >>> result = fit(0.37)
+        >>> print(f"{result.albedo:.4f} {result.d:.4f} mm {result.dmfp:.4f} mm")
+        0.1196 0.3317 mm 1.2255 mm
+    """
+    _check(falloff, objective, reading, albedo_bounds)
+    nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
+    node_weights = node_weights * _extra(weights, nodes)
+    with jax.enable_x64(True):
+        residuals = partial(
+            _residuals,
+            phi=falloff + FALLOFF_OFFSET,
+            rho=jnp.asarray(nodes),
+            weights=jnp.asarray(node_weights),
+            objective=objective,
+            reading=reading,
+            normalize=normalize,
+        )
+        lower, upper = np.array([albedo_bounds[0], 1e-4]), np.array([albedo_bounds[1], np.inf])
+        start = np.asarray(_start(albedo_bounds, residuals.keywords))
+        solutions = tuple(
+            solve.least_squares(residuals, start, lower, upper, name) for name in solve.chosen(solver)
+        )
+        found = jnp.asarray(solutions[0].parameters)
+        misfit, jacobian, norm = (np.asarray(a) for a in _linearized(residuals, found))
+    low, high = _on_bounds(float(found[0]), albedo_bounds)
+    # A parameter held by its bound is not estimated: the data determine the other one alone.
+    free = jacobian[:, 1:] if low or high else jacobian
+    analysis = identifiability.analyse(free, misfit, float(norm))
+    scale = np.array([1.0, falloff + FALLOFF_OFFSET])
+    spread = np.ptp([s.parameters for s in solutions], axis=0) / np.abs(solutions[0].parameters)
+    return SeparableFit(
+        falloff=falloff,
+        objective=objective,
+        reading=reading,
+        **_estimates(solutions[0].parameters * scale, analysis, objective, low, high),
+        relative_residual=float(np.linalg.norm(misfit) / norm),
+        at_bound=low or high,
+        identifiability=analysis,
+        converged=all(solution.converged for solution in solutions),
+        status="; ".join(f"{s.solver}: {s.status}" for s in solutions),
+        solutions=solutions,
+        disagreement=float(np.max(spread)) if len(solutions) > 1 else 0.0,
+    )
+
+
+def fit_many(
+    falloffs: np.ndarray,
+    objective: Objective = "difference",
+    *,
+    reading: Reading = "radial",
+    domain: Domain | None = None,
+    albedo_bounds: tuple[float, float] = (0.0, 1.0),
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Fit many falloffs at once: the optimistix fit of `fit` under `vmap`, without its analysis.
+
+    Args:
+        falloffs: widths in (0, 1], shape (n,).
+        objective: as `fit`.
+        reading: as `fit`.
+        domain: as `fit`.
+        albedo_bounds: as `fit`.
+
+    Returns:
+        albedo (n,), d (n,) in mm, dmfp (n,) in mm (NaN where the albedo is above 1), and whether
+        each converged (n,), in float64.
+
+    Raises:
+        ValueError: as `fit`.
+
+    Source: as `fit`.
+
+    Example:
+        >>> albedo, d, dmfp, converged = fit_many(np.array([0.3, 0.37, 1.0]))
+        >>> d.round(4), bool(converged.all())
+        (array([0.2691, 0.3317, 0.895 ]), True)
+    """
+    falloffs = np.asarray(falloffs, np.float64)
+    for falloff in falloffs:
+        _check(float(falloff), objective, reading, albedo_bounds)
+    nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
+    with jax.enable_x64(True):
+        albedo, d, converged = _fit_batch(
+            jnp.asarray(falloffs + FALLOFF_OFFSET),
+            jnp.asarray(nodes),
+            jnp.asarray(node_weights),
+            objective,
+            reading,
+            albedo_bounds,
+        )
+        dmfp = burley.dmfp_from_shape(d, albedo)
+    return np.asarray(albedo), np.asarray(d), np.asarray(dmfp), np.asarray(converged)
+
+
+@partial(jax.jit, static_argnums=(3, 4, 5))
+def _fit_batch(phi, rho, weights, objective, reading, albedo_bounds):
+    lower, upper = np.array([albedo_bounds[0], 1e-4]), np.array([albedo_bounds[1], np.inf])
+
+    def one(phi):
+        problem = {"phi": phi, "rho": rho, "weights": weights, "objective": objective, "reading": reading}
+        start = _start(albedo_bounds, problem)
+        found, converged = solve.levenberg_marquardt(partial(_residuals, **problem), start, lower, upper)
+        return found[0], found[1] * phi, converged
+
+    return jax.vmap(one)(phi)
+
+
+def _residuals(parameters: Array, **problem) -> Array:
+    """Weighted residuals at r = phi rho; the parameters are the albedo and d / phi."""
+    fitted, wanted = _curves(parameters, **problem)
+    return fitted - wanted
+
+
+def _linearized(residuals: partial, found: Array) -> tuple[Array, Array, Array]:
+    """Residuals, their Jacobian in the parameters' logarithms, and the norm of the data."""
+    _, wanted = _curves(found, **residuals.keywords)
+    return residuals(found), jax.jacfwd(residuals)(found) * found, jnp.linalg.norm(wanted)
+
+
+def _curves(
+    parameters: Array, *, phi, rho: Array, weights: Array, objective, reading, normalize=False
+) -> tuple[Array, Array]:
+    """The weighted curves that the objective compares: Burley's and the falloff profile's."""
+    albedo, d = parameters[0], parameters[1] * phi
+    r = rho * phi
+
+    def model(r):  # r R(r): the radial density without its 2 pi
+        return albedo * burley.pdf(r, d) / (2 * jnp.pi)
+
+    def target(r):
+        value = falloff_profile(r, phi - FALLOFF_OFFSET)
+        return r * value if reading == "radial" else value
+
+    curves = [model, target]
+    if normalize:
+        curves = [lambda r, f=f: f(r) / jnp.sum(weights * phi * f(rho * phi)) for f in curves]
+    if objective == "derivative":
+        curves = [lambda r, f=f: jax.jvp(f, (r,), (jnp.ones_like(r),))[1] for f in curves]
+    fitted, wanted = curves[0](r), curves[1](r)
+    if objective == "ratio":
+        fitted, wanted = fitted / wanted, jnp.ones_like(wanted)
+    root = jnp.sqrt(weights * phi)
+    return root * fitted, root * wanted
+
+
+def _on_bounds(albedo: float, bounds: tuple[float, float]) -> tuple[bool, bool]:
+    span = 1.0 if np.isinf(bounds[1]) else bounds[1] - bounds[0]
+    return albedo - bounds[0] < _AT_BOUND * span, bounds[1] - albedo < _AT_BOUND * span
+
+
+def _estimates(parameters: np.ndarray, analysis: Identifiability, objective, low: bool, high: bool) -> dict:
+    """Values and intervals of what the data determine, NaN and a reason for the rest."""
+    albedo, d = (float(p) for p in parameters)
+    if low:
+        reason = f"the {objective} objective drives the albedo to its lower bound, where it does not fit"
+        nothing = (np.nan, np.nan)
+        return {"albedo": np.nan, "d": np.nan, "dmfp": np.nan, "reason": reason} | dict.fromkeys(
+            ("albedo_interval", "d_interval", "dmfp_interval"), nothing
+        )
+    known = np.concatenate([[True], analysis.determined]) if high else analysis.determined
+    factor = np.concatenate([[1.0], analysis.factor]) if high else analysis.factor
+    dmfp, dmfp_factor, reason = np.nan, np.nan, ""
+    if not known.all():
+        names = [name for name, ok in zip(("albedo", "d"), known, strict=True) if not ok]
+        reason = f"the data do not determine the {' and the '.join(names)}, so the dmfp neither"
+    elif albedo > 1:
+        reason = f"the fitted albedo {albedo:.4g} is above 1, where no diffuse mean free path is defined"
+    else:
+        dmfp, dmfp_factor = _dmfp(albedo, d, analysis, high)
+    return {
+        "albedo": albedo if known[0] else np.nan,
+        "d": d if known[1] else np.nan,
+        "dmfp": dmfp,
+        "albedo_interval": _interval(albedo, factor[0], known[0]),
+        "d_interval": _interval(d, factor[1], known[1]),
+        "dmfp_interval": _interval(dmfp, dmfp_factor, True),
+        "reason": reason,
+    }
+
+
+def _dmfp(albedo: float, d: float, analysis: Identifiability, fixed_albedo: bool) -> tuple[float, float]:
+    """The diffuse mean free path, and the factor of its interval propagated from ln A and ln d."""
+    with jax.enable_x64(True):
+        scaling, slope = jax.value_and_grad(burley.scaling)(albedo)
+        dmfp = float(burley.dmfp_from_shape(d, albedo))
+    if fixed_albedo:
+        return dmfp, float(analysis.factor[0])
+    direction = np.array([float(albedo * slope / scaling), 1.0])
+    return dmfp, float(identifiability.interval_factor(direction @ analysis.covariance @ direction))
+
+
+def _interval(value: float, factor: float, known: bool) -> tuple[float, float]:
+    return (value / float(factor), value * float(factor)) if known else (np.nan, np.nan)
+
+
+def _start(bounds: tuple[float, float], problem: dict) -> Array:
+    """d = phi / 2 and the albedo that suits it best, which is a linear problem, kept inside its bounds."""
+    d = jnp.asarray(0.5)
+    fitted, wanted = _curves(jnp.stack([jnp.ones_like(d), d]), **problem)
+    best = jnp.sum(fitted * wanted) / jnp.sum(fitted * fitted)
+    span = min(bounds[1] - bounds[0], 1.0)
+    upper = bounds[1] - 0.05 * span if np.isfinite(bounds[1]) else np.inf
+    return jnp.stack([jnp.clip(best, bounds[0] + 1e-9 * span, upper), d])
+
+
+def _extra(weights, nodes: np.ndarray) -> np.ndarray:
+    extra = np.ones_like(nodes) if weights is None else np.asarray(weights, np.float64)
+    if extra.shape != nodes.shape or not np.all(extra >= 0) or not np.any(extra > 0):
+        raise ValueError(f"weights must be {nodes.size} numbers >= 0, not all 0, got shape {extra.shape}")
+    return extra
+
+
+def _check(falloff: float, objective: str, reading: str, albedo_bounds: tuple[float, float]) -> None:
+    if not 0 < falloff <= 1:
+        raise ValueError(f"falloff must be in (0, 1], got {falloff}")
+    if objective not in OBJECTIVES:
+        raise ValueError(f"objective must be one of {', '.join(OBJECTIVES)}, got {objective!r}")
+    if reading not in READINGS:
+        raise ValueError(f"reading must be one of {', '.join(READINGS)}, got {reading!r}")
+    if not 0 <= albedo_bounds[0] < albedo_bounds[1]:
+        raise ValueError(f"albedo_bounds must be 0 <= low < high, got {albedo_bounds}")
