@@ -103,10 +103,10 @@ def fit_c(objective: Objective = "cdf_mse", solver: SolverChoice = "optimistix")
         raise ValueError(f"objective must be one of {', '.join(OBJECTIVES)}, got {objective!r}")
     names = solve.chosen(solver)
     with jax.enable_x64(True):
-        residuals = _RESIDUALS[objective](_grid())
         solutions = tuple(
             solve.least_squares(
-                lambda parameters: residuals(parameters[0]),
+                _RESIDUALS[objective],
+                _grid(),
                 np.array([_START_C]),
                 np.array([LOWER_C]),
                 np.array([UPPER_C]),
@@ -233,21 +233,17 @@ def _root_deviance(weight: Array) -> Array:
     return jnp.where(near, z * (1 + z / 6 + z * z / 36), root)
 
 
-def _weighted(error: Callable[[_Grid, Array], Array]):
-    def make(grid: _Grid) -> Callable[[Array], Array]:
-        root = jnp.sqrt(grid.weights)
-        return lambda c: root * error(grid, c)
-
-    return make
+def _weighted(error: Callable[[Array, _Grid], Array]) -> solve.Residuals:
+    return lambda parameters, grid: jnp.sqrt(grid.weights) * error(parameters[0], grid)
 
 
 # Each objective as residuals, so that half their sum of squares has its minimum at the same c.
-_RESIDUALS: dict[Objective, Callable[[_Grid], Callable[[Array], Array]]] = {
-    "cdf_mse": _weighted(lambda grid, c: _cdf_error(grid.s, c)),
+_RESIDUALS: dict[Objective, solve.Residuals] = {
+    "cdf_mse": _weighted(lambda c, grid: _cdf_error(grid.s, c)),
     # The largest error is smallest where the largest errors of both signs are equal.
-    "cdf_minimax": lambda grid: lambda c: jnp.stack([_peak(grid.s, c, 1.0) + _peak(grid.s, c, -1.0)]),
-    "relative_radius": _weighted(lambda grid, c: _g(grid.s, c) / grid.radius - 1),
-    "radius": _weighted(lambda grid, c: _g(grid.s, c) - grid.radius),
-    "mean_radius": lambda grid: lambda c: jnp.stack([jnp.sum(grid.weights * (_g(grid.s, c) - grid.radius))]),
-    "kl": _weighted(lambda grid, c: _root_deviance(_weight(grid.s, c))),
+    "cdf_minimax": lambda c, grid: _peak(grid.s, c, 1.0) + _peak(grid.s, c, -1.0),
+    "relative_radius": _weighted(lambda c, grid: _g(grid.s, c) / grid.radius - 1),
+    "radius": _weighted(lambda c, grid: _g(grid.s, c) - grid.radius),
+    "mean_radius": lambda c, grid: jnp.sum(grid.weights * (_g(grid.s, c) - grid.radius), keepdims=True),
+    "kl": _weighted(lambda c, grid: _root_deviance(_weight(grid.s, c))),
 }

@@ -16,23 +16,22 @@ Source: Xie et al. 2020, appendix A.1, Eq 25-27; Xie 2021, appendix A.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from sssfit.fitting import identifiability, quadrature, solve
+from sssfit.fitting import falloff_curves, identifiability, solve
+from sssfit.fitting.falloff_curves import DEFAULT_DOMAINS as DEFAULT_DOMAINS
+from sssfit.fitting.falloff_curves import OBJECTIVES as OBJECTIVES
+from sssfit.fitting.falloff_curves import READINGS as READINGS
+from sssfit.fitting.falloff_curves import Domain as Domain
+from sssfit.fitting.falloff_curves import Objective as Objective
+from sssfit.fitting.falloff_curves import Reading as Reading
 from sssfit.fitting.identifiability import Identifiability
 from sssfit.fitting.solve import Solution, SolverChoice
 from sssfit.profiles import burley
-from sssfit.profiles.gaussian_sum import FALLOFF_OFFSET, falloff_profile
-
-Objective = Literal["difference", "ratio", "derivative"]
-Reading = Literal["as_coded", "radial"]
-OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
-READINGS: tuple[Reading, ...] = get_args(Reading)
+from sssfit.profiles.gaussian_sum import FALLOFF_OFFSET
 
 #: Default falloff of the published demo and of engines, red, green, blue.
 DEFAULT_FALLOFF = (1.0, 0.37, 0.3)
@@ -40,56 +39,8 @@ DEFAULT_FALLOFF = (1.0, 0.37, 0.3)
 # Half a millionth of the albedo's range from a bound counts as on it.
 _AT_BOUND = 5e-7
 
-
-class Domain(NamedTuple):
-    """Where the two profiles are compared: distances in units of phi, and how they are summed.
-
-    Attributes:
-        lower: smallest distance / phi, >= 0.
-        upper: largest distance / phi.
-        num_points: nodes.
-        spacing: "gauss", the integral over distance (Gauss-Legendre nodes, dense near lower), or
-            "uniform", a plain sum over equidistant points, as the papers print it.
-
-    Example:
-        >>> Domain(0.0, 10.0, 100, "uniform").nodes()[0][:3].round(2)
-        array([0.05, 0.15, 0.25])
-    """
-
-    lower: float = 0.0
-    upper: float = 40.0
-    num_points: int = 128
-    spacing: Literal["gauss", "uniform"] = "gauss"
-
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Distances in units of phi and their weights, shape (num_points,) each.
-
-        Raises:
-            ValueError: the interval is empty or negative, there are fewer than 8 points, or the spacing
-                is unknown.
-        """
-        if not 0 <= self.lower < self.upper < np.inf:
-            raise ValueError(f"domain must have 0 <= lower < upper, got [{self.lower}, {self.upper}]")
-        if self.num_points < 8:
-            raise ValueError(f"num_points must be at least 8, got {self.num_points}")
-        width = self.upper - self.lower
-        if self.spacing == "gauss":
-            unit, weights = quadrature.gauss_legendre(np.array([0.0, 1.0]), self.num_points)
-            # The cube packs nodes at the lower end, where the profiles are steep.
-            return self.lower + width * unit**3, width * 3 * unit**2 * weights
-        if self.spacing == "uniform":
-            cell = width / self.num_points
-            return self.lower + cell * (np.arange(self.num_points) + 0.5), np.full(self.num_points, cell)
-        raise ValueError(f"spacing must be 'gauss' or 'uniform', got {self.spacing!r}")
-
-
-#: Domains used when none is given. The ratio has no optimum on an unbounded domain (Gaussian tails
-#: against exponential ones), nor, in the radial reading, down to 0; its result depends on this choice.
-DEFAULT_DOMAINS: dict[Objective, Domain] = {
-    "difference": Domain(),
-    "ratio": Domain(0.1, 6.0),
-    "derivative": Domain(),
-}
+# Lower bound of d in units of phi: far narrower than any node, where the profile is a delta.
+_SMALLEST_D = 1e-4
 
 
 @dataclass(frozen=True)
@@ -179,41 +130,36 @@ def fit(
     _check(falloff, objective, reading, albedo_bounds)
     nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
     node_weights = node_weights * _extra(weights, nodes)
+    phi = falloff + FALLOFF_OFFSET
+    lower, upper = np.array([albedo_bounds[0], _SMALLEST_D]), np.array([albedo_bounds[1], np.inf])
+    curves, residuals = falloff_curves.functions(objective, reading, normalize)
     with jax.enable_x64(True):
-        residuals = partial(
-            _residuals,
-            phi=falloff + FALLOFF_OFFSET,
-            rho=jnp.asarray(nodes),
-            weights=jnp.asarray(node_weights),
-            objective=objective,
-            reading=reading,
-            normalize=normalize,
-        )
-        lower, upper = np.array([albedo_bounds[0], 1e-4]), np.array([albedo_bounds[1], np.inf])
-        start = np.asarray(_start(albedo_bounds, residuals.keywords))
+        problem = falloff_curves.Problem(jnp.asarray(phi), jnp.asarray(nodes), jnp.asarray(node_weights))
+        start = np.asarray(falloff_curves.start(curves, problem, lower[0], upper[0]))
         solutions = tuple(
-            solve.least_squares(residuals, start, lower, upper, name) for name in solve.chosen(solver)
+            solve.least_squares(residuals, problem, start, lower, upper, name)
+            for name in solve.chosen(solver)
         )
-        found = jnp.asarray(solutions[0].parameters)
-        misfit, jacobian, norm = (np.asarray(a) for a in _linearized(residuals, found))
-    low, high = _on_bounds(float(found[0]), albedo_bounds)
+        found = solutions[0].parameters
+        misfit, jacobian, norm = (np.asarray(a) for a in falloff_curves.linearized(curves, found, problem))
+    low, high = _on_bounds(found[0], albedo_bounds)
     # A parameter held by its bound is not estimated: the data determine the other one alone.
     free = jacobian[:, 1:] if low or high else jacobian
     analysis = identifiability.analyse(free, misfit, float(norm))
-    scale = np.array([1.0, falloff + FALLOFF_OFFSET])
-    spread = np.ptp([s.parameters for s in solutions], axis=0) / np.abs(solutions[0].parameters)
+    estimates = _estimates(found * np.array([1.0, phi]), analysis, objective, albedo_bounds, low, high)
+    known = np.isfinite([estimates["albedo"], estimates["d"]])
     return SeparableFit(
         falloff=falloff,
         objective=objective,
         reading=reading,
-        **_estimates(solutions[0].parameters * scale, analysis, objective, low, high),
+        **estimates,
         relative_residual=float(np.linalg.norm(misfit) / norm),
         at_bound=low or high,
         identifiability=analysis,
         converged=all(solution.converged for solution in solutions),
         status="; ".join(f"{s.solver}: {s.status}" for s in solutions),
         solutions=solutions,
-        disagreement=float(np.max(spread)) if len(solutions) > 1 else 0.0,
+        disagreement=_disagreement(solutions, known),
     )
 
 
@@ -254,12 +200,7 @@ def fit_many(
     nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
     with jax.enable_x64(True):
         albedo, d, converged = _fit_batch(
-            jnp.asarray(falloffs + FALLOFF_OFFSET),
-            jnp.asarray(nodes),
-            jnp.asarray(node_weights),
-            objective,
-            reading,
-            albedo_bounds,
+            jnp.asarray(falloffs + FALLOFF_OFFSET), nodes, node_weights, objective, reading, albedo_bounds
         )
         dmfp = burley.dmfp_from_shape(d, albedo)
     return np.asarray(albedo), np.asarray(d), np.asarray(dmfp), np.asarray(converged)
@@ -267,53 +208,16 @@ def fit_many(
 
 @partial(jax.jit, static_argnums=(3, 4, 5))
 def _fit_batch(phi, rho, weights, objective, reading, albedo_bounds):
-    lower, upper = np.array([albedo_bounds[0], 1e-4]), np.array([albedo_bounds[1], np.inf])
+    lower, upper = np.array([albedo_bounds[0], _SMALLEST_D]), np.array([albedo_bounds[1], np.inf])
+    curves, residuals = falloff_curves.functions(objective, reading, False)
 
     def one(phi):
-        problem = {"phi": phi, "rho": rho, "weights": weights, "objective": objective, "reading": reading}
-        start = _start(albedo_bounds, problem)
-        found, converged = solve.levenberg_marquardt(partial(_residuals, **problem), start, lower, upper)
-        return found[0], found[1] * phi, converged
+        problem = falloff_curves.Problem(phi, rho, weights)
+        start = falloff_curves.start(curves, problem, lower[0], upper[0])
+        found, result = solve.levenberg_marquardt(residuals, problem, start, lower, upper)
+        return found[0], found[1] * phi, solve.succeeded(result)
 
     return jax.vmap(one)(phi)
-
-
-def _residuals(parameters: Array, **problem) -> Array:
-    """Weighted residuals at r = phi rho; the parameters are the albedo and d / phi."""
-    fitted, wanted = _curves(parameters, **problem)
-    return fitted - wanted
-
-
-def _linearized(residuals: partial, found: Array) -> tuple[Array, Array, Array]:
-    """Residuals, their Jacobian in the parameters' logarithms, and the norm of the data."""
-    _, wanted = _curves(found, **residuals.keywords)
-    return residuals(found), jax.jacfwd(residuals)(found) * found, jnp.linalg.norm(wanted)
-
-
-def _curves(
-    parameters: Array, *, phi, rho: Array, weights: Array, objective, reading, normalize=False
-) -> tuple[Array, Array]:
-    """The weighted curves that the objective compares: Burley's and the falloff profile's."""
-    albedo, d = parameters[0], parameters[1] * phi
-    r = rho * phi
-
-    def model(r):  # r R(r): the radial density without its 2 pi
-        return albedo * burley.pdf(r, d) / (2 * jnp.pi)
-
-    def target(r):
-        value = falloff_profile(r, phi - FALLOFF_OFFSET)
-        return r * value if reading == "radial" else value
-
-    curves = [model, target]
-    if normalize:
-        curves = [lambda r, f=f: f(r) / jnp.sum(weights * phi * f(rho * phi)) for f in curves]
-    if objective == "derivative":
-        curves = [lambda r, f=f: jax.jvp(f, (r,), (jnp.ones_like(r),))[1] for f in curves]
-    fitted, wanted = curves[0](r), curves[1](r)
-    if objective == "ratio":
-        fitted, wanted = fitted / wanted, jnp.ones_like(wanted)
-    root = jnp.sqrt(weights * phi)
-    return root * fitted, root * wanted
 
 
 def _on_bounds(albedo: float, bounds: tuple[float, float]) -> tuple[bool, bool]:
@@ -321,7 +225,9 @@ def _on_bounds(albedo: float, bounds: tuple[float, float]) -> tuple[bool, bool]:
     return albedo - bounds[0] < _AT_BOUND * span, bounds[1] - albedo < _AT_BOUND * span
 
 
-def _estimates(parameters: np.ndarray, analysis: Identifiability, objective, low: bool, high: bool) -> dict:
+def _estimates(
+    parameters: np.ndarray, analysis: Identifiability, objective, bounds, low: bool, high: bool
+) -> dict:
     """Values and intervals of what the data determine, NaN and a reason for the rest."""
     albedo, d = (float(p) for p in parameters)
     if low:
@@ -344,7 +250,8 @@ def _estimates(parameters: np.ndarray, analysis: Identifiability, objective, low
         "albedo": albedo if known[0] else np.nan,
         "d": d if known[1] else np.nan,
         "dmfp": dmfp,
-        "albedo_interval": _interval(albedo, factor[0], known[0]),
+        # Beyond its bounds an albedo was never considered.
+        "albedo_interval": tuple(np.clip(_interval(albedo, factor[0], known[0]), *bounds).tolist()),
         "d_interval": _interval(d, factor[1], known[1]),
         "dmfp_interval": _interval(dmfp, dmfp_factor, True),
         "reason": reason,
@@ -356,9 +263,10 @@ def _dmfp(albedo: float, d: float, analysis: Identifiability, fixed_albedo: bool
     with jax.enable_x64(True):
         scaling, slope = jax.value_and_grad(burley.scaling)(albedo)
         dmfp = float(burley.dmfp_from_shape(d, albedo))
+        elasticity = albedo * float(slope) / float(scaling)
     if fixed_albedo:
         return dmfp, float(analysis.factor[0])
-    direction = np.array([float(albedo * slope / scaling), 1.0])
+    direction = np.array([elasticity, 1.0])
     return dmfp, float(identifiability.interval_factor(direction @ analysis.covariance @ direction))
 
 
@@ -366,14 +274,10 @@ def _interval(value: float, factor: float, known: bool) -> tuple[float, float]:
     return (value / float(factor), value * float(factor)) if known else (np.nan, np.nan)
 
 
-def _start(bounds: tuple[float, float], problem: dict) -> Array:
-    """d = phi / 2 and the albedo that suits it best, which is a linear problem, kept inside its bounds."""
-    d = jnp.asarray(0.5)
-    fitted, wanted = _curves(jnp.stack([jnp.ones_like(d), d]), **problem)
-    best = jnp.sum(fitted * wanted) / jnp.sum(fitted * fitted)
-    span = min(bounds[1] - bounds[0], 1.0)
-    upper = bounds[1] - 0.05 * span if np.isfinite(bounds[1]) else np.inf
-    return jnp.stack([jnp.clip(best, bounds[0] + 1e-9 * span, upper), d])
+def _disagreement(solutions: Sequence[Solution], known: np.ndarray) -> float:
+    """Largest relative spread among the solvers of a parameter that the data determine."""
+    parameters = np.stack([solution.parameters for solution in solutions])[:, known]
+    return float(np.max(np.ptp(parameters, axis=0) / parameters[0], initial=0.0))
 
 
 def _extra(weights, nodes: np.ndarray) -> np.ndarray:

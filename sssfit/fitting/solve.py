@@ -5,20 +5,24 @@ reaches the box's ends; jaxopt's L-BFGS-B and SciPy's trust-region reflective me
 are. Solvers are imported when they are used: importing sssfit loads none of them.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 SolverName = Literal["optimistix", "jaxopt", "scipy"]
 SolverChoice = Literal["optimistix", "jaxopt", "scipy", "all"]
 SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
 
-Residuals = Callable[[Array], Array]
+# Residuals take parameters of shape (n,) and a pytree of arrays that belong to the problem. Compiled code is
+# kept by the function's identity, so a function should be made once and the problem passed to it.
+Residuals = Callable[[Array, Any], Array]
 
 _MAX_STEPS = 1000
 _TOLERANCE = 1e-11
@@ -61,15 +65,21 @@ def chosen(solver: SolverChoice) -> tuple[SolverName, ...]:
 
 
 def least_squares(
-    residuals: Residuals, start: np.ndarray, lower: np.ndarray, upper: np.ndarray, solver: SolverName
+    residuals: Residuals,
+    problem: Any,
+    start: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    solver: SolverName,
 ) -> Solution:
     """Minimize half the sum of squared residuals inside a box, in float64.
 
     Args:
-        residuals: JAX function from parameters (n,) to residuals (m,).
+        residuals: JAX function from parameters (n,) and the problem to residuals (m,).
+        problem: pytree of float64 arrays, passed to the residuals as it is.
         start: strictly inside the bounds, shape (n,).
         lower: lower bounds, shape (n,); -inf for none.
-        upper: upper bounds, shape (n,); inf for none.
+        upper: upper bounds, shape (n,); inf for none, and none without a lower one.
         solver: which one.
 
     Returns:
@@ -77,89 +87,108 @@ def least_squares(
 
     Example:
         >>> box = np.array([-1.0]), np.array([1.0])
-        >>> least_squares(lambda p: p - 3.0, np.zeros(1), *box, "scipy").parameters.round(6)
+        >>> least_squares(lambda p, data: p - data, 3.0, np.zeros(1), *box, "scipy").parameters.round(6)
         array([1.])
     """
     run = {"optimistix": _optimistix, "jaxopt": _jaxopt, "scipy": _scipy}[solver]
     with jax.enable_x64(True):
-        parameters, converged, status = run(residuals, start, lower, upper)
+        parameters, converged, status = run(residuals, problem, start, lower, upper)
         parameters = np.clip(np.asarray(parameters, np.float64), lower, upper)
-        cost = 0.5 * float(np.sum(np.square(residuals(jnp.asarray(parameters)))))
+        cost = 0.5 * float(np.sum(np.square(residuals(jnp.asarray(parameters), problem))))
     return Solution(solver, parameters, cost, bool(converged) and bool(np.isfinite(cost)), status)
 
 
 def levenberg_marquardt(
-    residuals: Residuals, start: Array, lower: np.ndarray, upper: np.ndarray
+    residuals: Residuals, problem: Any, start: Array, lower: ArrayLike, upper: ArrayLike
 ) -> tuple[Array, Array]:
     """The optimistix path of `least_squares` as pure JAX, for `jit` and `vmap`.
 
     Args:
-        residuals: JAX function from parameters (n,) to residuals (m,).
+        residuals: JAX function from parameters (n,) and the problem to residuals (m,).
+        problem: pytree of arrays.
         start: strictly inside the bounds, shape (n,), float64.
-        lower: lower bounds, constants of shape (n,).
-        upper: upper bounds, constants of shape (n,).
+        lower: lower bounds, shape (n,).
+        upper: upper bounds, shape (n,).
 
     Returns:
-        Parameters of shape (n,), and whether the solver converged, shape ().
+        Parameters of shape (n,), and the solver's result, an optimistix `RESULTS` item.
 
     Example:
+        >>> def residuals(p, square):
+        ...     return p**2 - square
         >>> with jax.enable_x64(True):
-        ...     p, ok = levenberg_marquardt(lambda p: p**2 - 4.0, jnp.ones(1), np.zeros(1), np.full(1, 9.0))
-        >>> float(p[0]).__round__(9), bool(ok)
-        (2.0, True)
+        ...     p, _ = levenberg_marquardt(residuals, 4.0, jnp.ones(1), np.zeros(1), np.full(1, 9.0))
+        >>> float(p[0]).__round__(9)
+        2.0
     """
-    solution = _run_optimistix(residuals, start, lower, upper)
     import optimistix
 
-    return _from_line(solution.value, lower, upper), solution.result == optimistix.RESULTS.successful
-
-
-def _run_optimistix(residuals, start, lower, upper):
-    import optimistix
-
-    start = jnp.asarray(start)
     # The damping starts at 1, which should be small beside the Jacobian whatever the residuals' unit.
-    scale = 1 / jnp.maximum(jnp.linalg.norm(residuals(start)), np.finfo(np.float64).tiny)
-    return optimistix.least_squares(
-        lambda line, _: scale * residuals(_from_line(line, lower, upper)),
+    scale = 1 / jnp.maximum(jnp.linalg.norm(residuals(start, problem)), np.finfo(np.float64).tiny)
+    solution = optimistix.least_squares(
+        lambda line, problem: scale * residuals(_from_line(line, lower, upper), problem),
         optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE),
         _to_line(start, lower, upper),
+        args=problem,
         max_steps=_MAX_STEPS,
         throw=False,
     )
+    return _from_line(solution.value, lower, upper), solution.result
 
 
-def _optimistix(residuals, start, lower, upper):
+def succeeded(result) -> Array:
+    """Whether an optimistix result means convergence, also inside `jit` and `vmap`."""
     import optimistix
 
-    solution = _run_optimistix(residuals, start, lower, upper)
-    converged = bool(solution.result == optimistix.RESULTS.successful)
-    status = "converged" if converged else optimistix.RESULTS[solution.result]
-    return _from_line(solution.value, lower, upper), converged, status
+    return result == optimistix.RESULTS.successful
 
 
-def _jaxopt(residuals, start, lower, upper):
+_compiled_levenberg_marquardt = jax.jit(levenberg_marquardt, static_argnums=0)
+
+
+def _optimistix(residuals, problem, start, lower, upper):
+    import optimistix
+
+    parameters, result = _compiled_levenberg_marquardt(residuals, problem, start, lower, upper)
+    converged = bool(succeeded(result))
+    return parameters, converged, "converged" if converged else optimistix.RESULTS[result]
+
+
+@functools.cache
+def _bounded_lbfgs(residuals):
     import jaxopt
 
-    def cost(parameters):
-        return 0.5 * jnp.sum(jnp.square(residuals(parameters)))
+    def cost(parameters, problem, scale):
+        return 0.5 * scale * jnp.sum(jnp.square(residuals(parameters, problem)))
 
+    solver = jaxopt.LBFGSB(cost, maxiter=_MAX_STEPS, tol=1e-10)
+    return jax.jit(cost), jax.jit(solver.run)
+
+
+def _jaxopt(residuals, problem, start, lower, upper):
+    cost, run = _bounded_lbfgs(residuals)
     # The cost is scaled to 1 at the start, so that one tolerance suits every unit of the residuals.
-    scale = 1 / jnp.maximum(cost(jnp.asarray(start)), np.finfo(np.float64).tiny)
-    solver = jaxopt.LBFGSB(lambda p: scale * cost(p), maxiter=_MAX_STEPS, tol=1e-10)
-    result = solver.run(jnp.asarray(start), bounds=(jnp.asarray(lower), jnp.asarray(upper)))
+    scale = 1 / max(float(cost(start, problem, 1.0)), np.finfo(np.float64).tiny)
+    result = run(start, bounds=(lower, upper), problem=problem, scale=scale)
     error = float(result.state.error)
     status = f"projected gradient {error:.1e} after {int(result.state.iter_num)} steps"
     return result.params, error <= 1e-6, status
 
 
-def _scipy(residuals, start, lower, upper):
+@functools.cache
+def _compiled(residuals):
+    return jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
+
+
+def _scipy(residuals, problem, start, lower, upper):
     from scipy.optimize import least_squares as trust_region
 
+    function, jacobian = _compiled(residuals)
     result = trust_region(
-        jax.jit(residuals),
+        function,
         start,
-        jac=jax.jit(jax.jacfwd(residuals)),  # pyright: ignore[reportArgumentType]
+        jac=jacobian,  # pyright: ignore[reportArgumentType]
+        args=(problem,),
         bounds=(lower, upper),
         method="trf",
         ftol=_TOLERANCE,
@@ -170,7 +199,7 @@ def _scipy(residuals, start, lower, upper):
     return result.x, result.success, result.message
 
 
-def _from_line(line: Array, lower: np.ndarray, upper: np.ndarray) -> Array:
+def _from_line(line: Array, lower: ArrayLike, upper: ArrayLike) -> Array:
     """Map the line onto [lower, upper] by a sine, onto [lower, inf) by a hyperbola."""
     boxed, floored, width, floor = _kinds(lower, upper)
     in_box = floor + width * (1 + jnp.sin(line)) / 2
@@ -178,16 +207,16 @@ def _from_line(line: Array, lower: np.ndarray, upper: np.ndarray) -> Array:
     return jnp.where(boxed, in_box, jnp.where(floored, above, line))
 
 
-def _to_line(parameters: Array, lower: np.ndarray, upper: np.ndarray) -> Array:
+def _to_line(parameters: Array, lower: ArrayLike, upper: ArrayLike) -> Array:
     boxed, floored, width, floor = _kinds(lower, upper)
     in_box = jnp.arcsin(2 * jnp.where(boxed, parameters - floor, width / 2) / width - 1)
     above = jnp.sqrt(jnp.square(jnp.where(floored, parameters - floor, 0) + 1) - 1)
     return jnp.where(boxed, in_box, jnp.where(floored, above, parameters))
 
 
-def _kinds(lower: np.ndarray, upper: np.ndarray):
-    boxed = np.isfinite(lower) & np.isfinite(upper)
-    floored = np.isfinite(lower) & ~np.isfinite(upper)
-    if np.any(~np.isfinite(lower) & np.isfinite(upper)):
-        raise ValueError("a parameter with an upper bound needs a lower bound too")
-    return boxed, floored, np.where(boxed, upper - lower, 1.0), np.where(np.isfinite(lower), lower, 0.0)
+def _kinds(lower: ArrayLike, upper: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Which parameters have two bounds and which a lower one alone; widths and floors, 1 and 0 elsewhere."""
+    lower, upper = jnp.asarray(lower), jnp.asarray(upper)
+    boxed = jnp.isfinite(lower) & jnp.isfinite(upper)
+    floored = jnp.isfinite(lower) & ~jnp.isfinite(upper)
+    return boxed, floored, jnp.where(boxed, upper - lower, 1), jnp.where(jnp.isfinite(lower), lower, 0)

@@ -43,10 +43,11 @@ def profile(r: ArrayLike, d: ArrayLike, albedo: ArrayLike = 1.0) -> Array:
     dtype, (r, d, albedo) = broadcast(r, d, albedo)
     positive = r > 0
     radius = jnp.where(positive, r, 1)
-    density = on_support(_decay.pdf, radius, d, below=0, beyond=0) / (2 * jnp.pi * radius)
-    density = ratio(density, jnp.where(d > 0, d, 1))
-    at_origin = jnp.where(r == 0, jnp.where(d >= 0, jnp.inf, jnp.nan), jnp.where(r < 0, 0, jnp.nan))
-    return (albedo * jnp.where(positive, density, at_origin)).astype(dtype)
+    density = ratio(on_support(_decay.pdf, radius, d, below=0, beyond=0), jnp.where(d > 0, d, 1))
+    density = ratio(density, 2 * jnp.pi * radius)
+    elsewhere = jnp.where(r == 0, jnp.inf, jnp.where(r < 0, 0, jnp.nan))
+    elsewhere = jnp.where(d >= 0, elsewhere, jnp.nan)
+    return (albedo * jnp.where(positive, density, elsewhere)).astype(dtype)
 
 
 def pdf(r: ArrayLike, d: ArrayLike) -> Array:
