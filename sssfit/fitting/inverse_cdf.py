@@ -140,7 +140,7 @@ def report(c: float) -> ErrorReport:
 
     Example:
         >>> f"{report(2.5715).cdf_max:.4e}"
-        '9.8680e-03'
+        '9.8677e-03'
     """
     if not c >= LOWER_C:
         raise ValueError(f"c must be at least 2, where g increases with xi, got {c}")
@@ -187,14 +187,14 @@ def _weight(s, c) -> Array:
 
 
 def _peak(s: Array, c, sign: float) -> Array:
-    """The extremum of the cdf error of one sign: the vertex of the parabola at the extreme node."""
+    """The extremum of the cdf error of one sign, at the vertex of the parabola through the extreme nodes."""
     error = _cdf_error(s, c)
     middle = jnp.clip(jnp.argmax(sign * error), 1, s.size - 2)
     x = s[middle + np.array([-1, 1])] - s[middle]
     y = error[middle + np.array([-1, 1])] - error[middle]
     curvature = (y[1] / x[1] - y[0] / x[0]) / (x[1] - x[0])
     slope = y[0] / x[0] - curvature * x[0]
-    return error[middle] - slope**2 / (4 * curvature)
+    return _cdf_error(s[middle] - slope / (2 * curvature), c)
 
 
 @jax.jit

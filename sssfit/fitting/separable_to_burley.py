@@ -125,7 +125,7 @@ def fit(
     Example:
         >>> result = fit(0.37)
         >>> print(f"{result.albedo:.4f} {result.d:.4f} mm {result.dmfp:.4f} mm")
-        0.1196 0.3317 mm 1.2255 mm
+        0.1196 0.3317 mm 1.2260 mm
     """
     _check(falloff, objective, reading, albedo_bounds)
     nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()

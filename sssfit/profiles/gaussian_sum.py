@@ -58,6 +58,8 @@ def profile(r: ArrayLike, variances: ArrayLike, weights: ArrayLike) -> Array:
     dtype = jnp.result_type(float, r, variances, weights)
     wide = jnp.promote_types(dtype, jnp.float32)
     r, variances, weights = (jnp.asarray(a, wide) for a in (r, variances, weights))
+    along_gaussians = (1,) * r.ndim + (-1,)
+    variances, weights = variances.reshape(along_gaussians), weights.reshape(along_gaussians)
     gaussians = jnp.exp(-0.5 * jnp.square(r)[..., None] / variances) / (2 * jnp.pi * variances)
     return jnp.sum(weights * gaussians, axis=-1).astype(dtype)
 

@@ -83,7 +83,7 @@ def load(path: str | Path) -> dict[str, Material]:
 
     Example:
         >>> load(shipped())["Skin1"].albedo.round(2)
-        array([0.44, 0.22, 0.13])
+        array([0.44, 0.23, 0.13])
     """
     return parse(read_bytes(path), Path(path).name)
 

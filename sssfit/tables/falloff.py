@@ -40,7 +40,7 @@ def falloff(
 
     Example:
         >>> falloff(8).values[-1].round(3)
-        array([ 0.87 ,  0.895, 10.752])
+        array([ 0.87 ,  0.895, 10.762])
     """
     if num_entries < 8:
         raise ValueError(f"num_entries must be at least 8, got {num_entries}")
@@ -82,7 +82,7 @@ def evaluate(falloffs: np.ndarray, objective: Objective, reading: Reading) -> np
 
     Example:
         >>> evaluate(np.array([0.37]), "difference", "radial").round(3)
-        array([[0.12 , 0.332, 1.225]])
+        array([[0.12 , 0.332, 1.226]])
     """
     albedo, d, dmfp, converged = separable_to_burley.fit_many(falloffs, objective, reading=reading)
     if not converged.all() or np.any(albedo < 1e-6):

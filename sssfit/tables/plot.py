@@ -8,7 +8,10 @@ from sssfit.tables.table import Axis, Table
 
 _COLOURS = {"R": "#c8322d", "G": "#2e8b3d", "B": "#2b5fb3"}
 _OTHER_COLOURS = ("#333333", "#8a5a00", "#5b3c88", "#007a87")
-_SIZE, _DPI = (7.2, 3.9), 110
+
+#: Width and height of a plot in pixels. Small in inches, so that its letters stay legible on a phone.
+PIXELS = (720, 460)
+_DPI = 125
 
 # Entries meant one by one (kernel taps, materials), not as samples of a curve.
 _SEPARATE_AXES = ("offset", "material")
@@ -21,7 +24,7 @@ def plot(table: Table) -> bytes:
         table: any table.
 
     Returns:
-        A PNG file, 792 x 429 pixels.
+        A PNG file of `PIXELS` pixels.
 
     Example:
         >>> axis = Axis("thickness", "mm", np.array([0.0, 1.0]))
@@ -32,9 +35,9 @@ def plot(table: Table) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(PIXELS[0] / _DPI, PIXELS[1] / _DPI), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(table.name.replace("_", " "), fontsize=11)
+    figure.suptitle(table.name.replace("_", " "))
     if table.axes[0].name == "material":
         _draw_materials(figure, table)
     elif len(table.axes) == 2:
@@ -77,6 +80,7 @@ def _draw_panels(figure, table: Table) -> None:
     for i, (panel, channel, unit) in enumerate(zip(panels, table.channels, units, strict=True)):
         panel.plot(axis.values, table.values[:, i], color=_OTHER_COLOURS[i])
         panel.set(xlabel=_label(axis.name, axis.unit), title=_label(channel, unit))
+        panel.locator_params(nbins=4)
         panel.grid(alpha=0.3)
 
 
@@ -100,7 +104,7 @@ def _draw_rows(axes, table: Table, rows: Axis, columns: Axis) -> None:
         axes.plot([], [], style, color="#555555", label=f"{rows.values[row]:.3g}")
     axes.set(xlabel=_label(columns.name, columns.unit))
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False, title=_label(rows.name, rows.unit), fontsize=8, title_fontsize=8)
+    axes.legend(frameon=False, title=_label(rows.name, rows.unit), fontsize=9, title_fontsize=9)
 
 
 def _draw_materials(figure, table: Table) -> None:
@@ -111,6 +115,7 @@ def _draw_materials(figure, table: Table) -> None:
             values = table.values[:, j, i]
             panel.plot(values, np.arange(len(names)), "o", color=_colour(channel, i), ms=4)
         panel.set(title=column.replace("_mm", " [mm]"))
+        panel.locator_params(axis="x", nbins=4)
         panel.grid(alpha=0.3)
-    panels[0].set_yticks(np.arange(len(names)), names, fontsize=8)
+    panels[0].set_yticks(np.arange(len(names)), names, fontsize=9)
     panels[0].invert_yaxis()

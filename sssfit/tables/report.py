@@ -4,6 +4,8 @@ import base64
 from html import escape
 from typing import Any
 
+from sssfit.tables.plot import PIXELS
+
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; padding: 1rem; max-width: 64rem; color: #222; }
@@ -99,7 +101,7 @@ def _section(table: dict[str, Any], plot: bytes) -> str:
     return (
         f"<h3>{name}</h3>\n<p>{escape(table['description'])} Unit of the values: {escape(table['unit'])}. "
         f"Axes: {escape(axes)}. {note}</p>\n"
-        f'<img alt="plot of {name}" width="792" height="429" src="data:image/png;base64,{picture}">\n'
+        f'<img alt="plot of {name}" width="{PIXELS[0]}" height="{PIXELS[1]}" src="data:image/png;base64,{picture}">\n'
         f"<details><summary>Files and storage errors</summary>{_files(table)}</details>\n"
         f'<details><summary>Parameters</summary><div class="scroll"><table>{parameters}</table></div>'
         "</details>"

@@ -1,0 +1,95 @@
+"""Timing of rival programs so that a busy machine slows all of them alike.
+
+Run one after the other, two programs meet different loads. Here they take turns, in an order shuffled anew
+each round, and medians and quartiles over the rounds are compared.
+"""
+
+import os
+import platform
+import random
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+PACKAGES = ("sssfit", "jax", "numpy", "scipy", "numba")
+
+
+class Timing(NamedTuple):
+    """Quartiles of the wall time of one program, in seconds."""
+
+    lower: float
+    median: float
+    upper: float
+
+    @property
+    def spread(self) -> float:
+        return self.upper - self.lower
+
+
+def measure(
+    programs: Mapping[str, Callable[[], object]], repeats: int, seed: int = 0
+) -> dict[str, np.ndarray]:
+    """Wall times in seconds of each program, shape (repeats,), after one untimed run of each.
+
+    A program returns when its result is complete: one that runs asynchronously waits for it itself. Times
+    at the same index come from the same round, so their ratio is free of slow changes of the load.
+    """
+    for program in programs.values():
+        program()
+    order = list(programs)
+    shuffle = random.Random(seed).shuffle
+    times = {name: np.empty(repeats) for name in order}
+    for round_ in range(repeats):
+        shuffle(order)
+        for name in order:
+            start = time.perf_counter()
+            programs[name]()
+            times[name][round_] = time.perf_counter() - start
+    return times
+
+
+def quartiles(times: np.ndarray) -> Timing:
+    """The three quartiles of measured times."""
+    return Timing(*(float(q) for q in np.percentile(times, (25, 50, 75))))
+
+
+def machine() -> str:
+    """One line: processor, cores, load, versions, date and commit."""
+    versions = ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
+    return (
+        f"{_processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.2f}; "
+        f"Python {platform.python_version()}, {versions}; {date.today()}, commit {_commit()}"
+    )
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "absent"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    facts = dict(line.split("\t: ", 1) if "\t: " in line else (line, "") for line in reversed(lines))
+    name = next((value for key, value in facts.items() if key.strip() == "model name"), platform.machine())
+    features = next((value.split() for key, value in facts.items() if key.strip() == "flags"), [])
+    return name + (" with AVX-512" if "avx512f" in features else "")
+
+
+def _commit() -> str:
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return done.stdout.strip()
