@@ -78,9 +78,9 @@ def _add_separable_options(command, module) -> None:
         type=float,
         nargs=2,
         metavar=("LOWER", "UPPER"),
-        help="distances to compare, in units of falloff + 0.001 (default: 0 40; ratio: 0.1 6)",
+        help="distances to compare, in units of falloff + 0.001 (default: 0 30; ratio: 0.1 6)",
     )
-    command.add_argument("--points", type=int, help="nodes on the domain (default: 128)")
+    command.add_argument("--points", type=int, help="nodes on the domain (default: 64)")
     command.add_argument("--spacing", choices=["gauss", "uniform"], help="integral or plain sum")
     command.add_argument("--free-albedo", action="store_true", help="let the albedo exceed 1")
     command.add_argument("--normalize", action="store_true", help="compare shapes only, not amplitudes")

@@ -29,7 +29,8 @@ class Row:
         """
         text = self.cells[column]
         try:
-            value = float(text)
+            # Python takes 1_000 for a number; a spreadsheet does not.
+            value = math.nan if "_" in text else float(text)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):

@@ -37,8 +37,8 @@ class Domain(NamedTuple):
     """
 
     lower: float = 0.0
-    upper: float = 40.0
-    num_points: int = 128
+    upper: float = 30.0
+    num_points: int = 64
     spacing: Literal["gauss", "uniform"] = "gauss"
 
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -73,66 +73,91 @@ DEFAULT_DOMAINS: dict[Objective, Domain] = {
 
 
 class Problem(NamedTuple):
-    """What the residuals are computed from: phi, the nodes in units of phi, and their weights."""
+    """What the residuals of one falloff are computed from, all of shape (num_points,) but phi.
 
-    phi: Array
-    rho: Array
-    weights: Array
-
-
-@functools.cache
-def functions(objective: Objective, reading: Reading, normalize: bool) -> tuple[Callable, Residuals]:
-    """The weighted curves (Burley's, the falloff profile's) that the objective compares, and their
-    difference, as functions of the albedo and d / phi, and of the problem. Made once for each choice, which
-    is what compiled code is kept by.
+    Attributes:
+        phi: unit of d, mm.
+        r: nodes, mm.
+        quadrature: weights of the integral over r, mm.
+        scale: weight of Burley's curve in the residual.
+        wanted: the falloff profile's curve, with its weight.
     """
 
-    def target(r, phi):
+    phi: Array
+    r: Array
+    quadrature: Array
+    scale: Array
+    wanted: Array
+
+
+def problem(
+    phi: Array, rho: Array, weights: Array, objective: Objective, reading: Reading, normalize: bool
+) -> Problem:
+    """The data of one fit: everything that does not depend on the parameters, computed once.
+
+    Args:
+        phi: falloff + 0.001, shape ().
+        rho: nodes in units of phi, shape (num_points,).
+        weights: of the nodes, shape (num_points,).
+        objective: what is compared.
+        reading: whether the falloff profile is multiplied by r.
+        normalize: whether each curve is divided by its integral.
+
+    Example:
+        >>> nodes = jnp.array([1.0, 2.0])
+        >>> problem(jnp.asarray(0.5), nodes, nodes, "ratio", "radial", False).r
+        Array([0.5, 1. ], dtype=float32)
+    """
+    r, quadrature = rho * phi, weights * phi
+    root = jnp.sqrt(quadrature)
+
+    def target(r):
         value = falloff_profile(r, phi - FALLOFF_OFFSET)
         return r * value if reading == "radial" else value
 
-    def curves(parameters: Array, problem: Problem) -> tuple[Array, Array]:
-        phi, rho, weights = problem
-        r = rho * phi
+    wanted = _compared(target, r, quadrature, objective, normalize)
+    if objective == "ratio":
+        return Problem(phi, r, quadrature, root / wanted, root)
+    return Problem(phi, r, quadrature, root, root * wanted)
 
-        def model(r):  # r R(r): the radial density without its 2 pi
-            return parameters[0] * burley.pdf(r, parameters[1] * phi) / (2 * jnp.pi)
 
-        pair = [model, lambda r: target(r, phi)]
-        if normalize:
-            pair = [lambda r, f=f: f(r) / jnp.sum(weights * phi * f(rho * phi)) for f in pair]
-        if objective == "derivative":
-            pair = [lambda r, f=f: jax.jvp(f, (r,), (jnp.ones_like(r),))[1] for f in pair]
-        fitted, wanted = pair[0](r), pair[1](r)
-        if objective == "ratio":
-            fitted, wanted = fitted / wanted, jnp.ones_like(wanted)
-        root = jnp.sqrt(weights * phi)
-        return root * fitted, root * wanted
+def _compared(curve: Callable[[Array], Array], r: Array, quadrature: Array, objective, normalize) -> Array:
+    """The values of a curve that an objective compares: its own, or its slopes."""
+    values = curve(r)
+    norm = jnp.sum(quadrature * values) if normalize else 1
+    if objective == "derivative":
+        values = jax.jvp(curve, (r,), (jnp.ones_like(r),))[1]
+    return values / norm
+
+
+@functools.cache
+def residual_function(objective: Objective, normalize: bool) -> Residuals:
+    """Residuals as a function of (albedo, d / phi) and the problem; made once for each choice, which is
+    what compiled code is kept by.
+    """
 
     def residuals(parameters: Array, problem: Problem) -> Array:
-        fitted, wanted = curves(parameters, problem)
-        return fitted - wanted
+        def model(r):  # r R(r): the radial density without its 2 pi
+            return parameters[0] * burley.pdf(r, parameters[1] * problem.phi) / (2 * jnp.pi)
 
-    return curves, residuals
+        fitted = _compared(model, problem.r, problem.quadrature, objective, normalize)
+        return problem.scale * fitted - problem.wanted
+
+    return residuals
 
 
 @partial(jax.jit, static_argnums=0)
-def linearized(curves, found: Array, problem: Problem) -> tuple[Array, Array, Array]:
+def linearized(residuals: Residuals, found: Array, problem: Problem) -> tuple[Array, Array, Array]:
     """Residuals, their Jacobian in the parameters' logarithms, and the norm of the data."""
-
-    def residuals(parameters):
-        fitted, wanted = curves(parameters, problem)
-        return fitted - wanted
-
-    jacobian = jax.jacfwd(residuals)(found) * found
-    return residuals(found), jacobian, jnp.linalg.norm(curves(found, problem)[1])
+    jacobian = jax.jacfwd(residuals)(found, problem) * found
+    return residuals(found, problem), jacobian, jnp.linalg.norm(problem.wanted)
 
 
 @partial(jax.jit, static_argnums=0)
-def start(curves, problem: Problem, lower: Array, upper: Array) -> Array:
+def start(residuals: Residuals, problem: Problem, lower: Array, upper: Array) -> Array:
     """d = phi / 2 and the albedo that suits it best, which is a linear problem, kept inside its bounds."""
     d = jnp.asarray(0.5)
-    fitted, wanted = curves(jnp.stack([jnp.ones_like(d), d]), problem)
-    best = jnp.sum(fitted * wanted) / jnp.sum(fitted * fitted)
+    fitted = residuals(jnp.stack([jnp.ones_like(d), d]), problem) + problem.wanted
+    best = jnp.sum(fitted * problem.wanted) / jnp.sum(fitted * fitted)
     span = jnp.minimum(upper - lower, 1)
     return jnp.stack([jnp.clip(best, lower + 1e-9 * span, upper - 0.05 * span), d])

@@ -39,6 +39,9 @@ DEFAULT_FALLOFF = (1.0, 0.37, 0.3)
 # Half a millionth of the albedo's range from a bound counts as on it.
 _AT_BOUND = 5e-7
 
+# Falloffs that `fit_many` fits at once.
+_BATCH = 256
+
 # Lower bound of d in units of phi: far narrower than any node, where the profile is a delta.
 _SMALLEST_D = 1e-4
 
@@ -131,17 +134,19 @@ def fit(
     nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
     node_weights = node_weights * _extra(weights, nodes)
     phi = falloff + FALLOFF_OFFSET
-    lower, upper = np.array([albedo_bounds[0], _SMALLEST_D]), np.array([albedo_bounds[1], np.inf])
-    curves, residuals = falloff_curves.functions(objective, reading, normalize)
+    lower, upper = _bounds(albedo_bounds)
+    residuals = falloff_curves.residual_function(objective, normalize)
     with jax.enable_x64(True):
-        problem = falloff_curves.Problem(jnp.asarray(phi), jnp.asarray(nodes), jnp.asarray(node_weights))
-        start = np.asarray(falloff_curves.start(curves, problem, lower[0], upper[0]))
+        problem = falloff_curves.problem(
+            jnp.asarray(phi), jnp.asarray(nodes), jnp.asarray(node_weights), objective, reading, normalize
+        )
+        start = np.asarray(falloff_curves.start(residuals, problem, lower[0], upper[0]))
         solutions = tuple(
             solve.least_squares(residuals, problem, start, lower, upper, name)
             for name in solve.chosen(solver)
         )
         found = solutions[0].parameters
-        misfit, jacobian, norm = (np.asarray(a) for a in falloff_curves.linearized(curves, found, problem))
+        misfit, jacobian, norm = (np.asarray(a) for a in falloff_curves.linearized(residuals, found, problem))
     low, high = _on_bounds(found[0], albedo_bounds)
     # A parameter held by its bound is not estimated: the data determine the other one alone.
     free = jacobian[:, 1:] if low or high else jacobian
@@ -198,26 +203,37 @@ def fit_many(
     for falloff in falloffs:
         _check(float(falloff), objective, reading, albedo_bounds)
     nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
+    # Batches of one size, the last one filled up: code is compiled once, whatever the number of falloffs.
+    padded = np.resize(falloffs, -(-falloffs.size // _BATCH) * _BATCH).reshape(-1, _BATCH)
     with jax.enable_x64(True):
-        albedo, d, converged = _fit_batch(
-            jnp.asarray(falloffs + FALLOFF_OFFSET), nodes, node_weights, objective, reading, albedo_bounds
+        batches = [
+            _fit_batch(
+                batch + FALLOFF_OFFSET, nodes, node_weights, *_bounds(albedo_bounds), objective, reading
+            )
+            for batch in padded
+        ]
+        albedo, d, converged = (
+            np.concatenate(parts)[: falloffs.size] for parts in zip(*batches, strict=True)
         )
-        dmfp = burley.dmfp_from_shape(d, albedo)
-    return np.asarray(albedo), np.asarray(d), np.asarray(dmfp), np.asarray(converged)
+        dmfp = np.asarray(burley.dmfp_from_shape(d, albedo))
+    return albedo, d, dmfp, converged
 
 
-@partial(jax.jit, static_argnums=(3, 4, 5))
-def _fit_batch(phi, rho, weights, objective, reading, albedo_bounds):
-    lower, upper = np.array([albedo_bounds[0], _SMALLEST_D]), np.array([albedo_bounds[1], np.inf])
-    curves, residuals = falloff_curves.functions(objective, reading, False)
+@partial(jax.jit, static_argnums=(5, 6))
+def _fit_batch(phi, rho, weights, lower, upper, objective, reading):
+    residuals = falloff_curves.residual_function(objective, False)
 
     def one(phi):
-        problem = falloff_curves.Problem(phi, rho, weights)
-        start = falloff_curves.start(curves, problem, lower[0], upper[0])
+        problem = falloff_curves.problem(phi, rho, weights, objective, reading, False)
+        start = falloff_curves.start(residuals, problem, lower[0], upper[0])
         found, result = solve.levenberg_marquardt(residuals, problem, start, lower, upper)
         return found[0], found[1] * phi, solve.succeeded(result)
 
     return jax.vmap(one)(phi)
+
+
+def _bounds(albedo_bounds: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([albedo_bounds[0], _SMALLEST_D]), np.array([albedo_bounds[1], np.inf])
 
 
 def _on_bounds(albedo: float, bounds: tuple[float, float]) -> tuple[bool, bool]:

@@ -184,6 +184,9 @@ def _scipy(residuals, problem, start, lower, upper):
     from scipy.optimize import least_squares as trust_region
 
     function, jacobian = _compiled(residuals)
+    if not np.all(np.isfinite(function(start, problem))):
+        # SciPy raises here; the others carry on and say so at the end.
+        return start, False, "the residuals are not finite at the start"
     result = trust_region(
         function,
         start,

@@ -32,7 +32,8 @@ def profile(r: ArrayLike, d: ArrayLike, albedo: ArrayLike = 1.0) -> Array:
 
     Returns:
         Density in 1/mm^2, of the arguments' broadcast shape. Relative error in float32 below 5e-7
-        for r / d <= 250 (rounding of r / d itself adds r / (6 d) ulp).
+        while it is a normal number (for d = 1 up to r = 235); rounding of r / d itself adds r / (6 d)
+        ulp.
 
     Source: Xie 2021, Eq 2.43.
 
@@ -58,7 +59,8 @@ def pdf(r: ArrayLike, d: ArrayLike) -> Array:
         d: shape parameter, mm. At 0 the density is 0, and inf at r = 0.
 
     Returns:
-        Density in 1/mm. Relative error in float32 below 4e-7 for r / d <= 250.
+        Density in 1/mm. Relative error in float32 below 4e-7 while it is a normal number (for d = 1 up
+        to r = 257); rounding of r / d itself adds r / (6 d) ulp.
 
     Source: Xie 2021, Eq 2.43, times 2 pi r / A.
 

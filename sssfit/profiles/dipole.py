@@ -56,11 +56,14 @@ def diffuse_reflectance(sigma_s_reduced: ArrayLike, sigma_a: ArrayLike, eta: Arr
     """
     dtype, (sigma_s_reduced, sigma_a, eta) = broadcast(sigma_s_reduced, sigma_a, eta)
     extinction = sigma_s_reduced + sigma_a
+    present = extinction > 0
+    absorption, total = jnp.where(present, sigma_a, 1), jnp.where(present, extinction, 1)
     # 1 - a' straight from the absorption: the difference would lose what a white medium absorbs.
-    absorbed = sigma_a / jnp.where(extinction > 0, extinction, 1)
+    absorbed = absorption / total
     fresnel = fresnel_diffuse_reflectance(eta)
     boundary = (1 + fresnel) / (1 - fresnel)
-    depth = jnp.sqrt(3 * jnp.where(absorbed > 0, absorbed, 0))
+    # Two roots, so that without absorption the derivative is infinite in it and 0 in the scattering.
+    depth = jnp.sqrt(3 / total) * jnp.sqrt(absorption)
     reflectance = (1 - absorbed) / 2 * (1 + jnp.exp(-4 / 3 * boundary * depth)) * jnp.exp(-depth)
-    reflectance = jnp.where(extinction > 0, reflectance, 0)
+    reflectance = jnp.where(present, reflectance, 0)
     return jnp.where((sigma_s_reduced >= 0) & (sigma_a >= 0), reflectance, jnp.nan).astype(dtype)

@@ -158,7 +158,7 @@ def burley_kernel(offsets: ArrayLike, d: ArrayLike) -> Array:
     below, above = edges[:-1], edges[1:]
     one_sided = jnp.abs(upper[:-1] - upper[1:])
     mass = jnp.where((below < 0) & (above > 0), 1 - upper[:-1] - upper[1:], one_sided)
-    return (mass / jnp.sum(mass, axis=0)).astype(dtype)
+    return (mass / jnp.sum(mass, axis=0, keepdims=True)).astype(dtype)
 
 
 def falloff_kernel(offsets: ArrayLike, falloff: ArrayLike, strength: ArrayLike = 1.0) -> Array:
@@ -189,7 +189,7 @@ def falloff_kernel(offsets: ArrayLike, falloff: ArrayLike, strength: ArrayLike =
     column = (-1,) + (1,) * falloff.ndim
     density = gaussian_sum.falloff_profile(offsets.reshape(column), falloff[None])
     mass = jnp.diff(_cell_edges(offsets)).reshape(column) * density
-    weights = strength * mass / jnp.sum(mass, axis=0)
+    weights = strength[None] * mass / jnp.sum(mass, axis=0, keepdims=True)
     return weights.at[offsets.shape[0] // 2].add(1 - strength).astype(dtype)
 
 

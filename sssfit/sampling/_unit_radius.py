@@ -81,7 +81,7 @@ def iterated(xi: Array, step, steps: int) -> Array:
     for _ in range(steps):
         v = step(v, v * (v * (v - 3) + 6) - 4 * q, 3 * (v * (v - 2) + 2), 6 * (v - 1))
         t = step(t, t * (t * t + 3) - 4 * u, 3 * (t * t + 1), 6 * t)
-    return jnp.where(small, -3 * jnp.log1p(-v), -3 * jnp.log(t))
+    return jnp.where(small, -3 * log_complement(v), -3 * jnp.log(t))
 
 
 def newton_step(root: Array, value: Array, slope: Array, curvature: Array) -> Array:

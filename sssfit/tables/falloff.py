@@ -117,14 +117,13 @@ def polynomial(x: np.ndarray, y: np.ndarray, degree: int) -> dict[str, object]:
 
 def _law(objective: Objective, reading: Reading) -> dict[str, object]:
     """The constants of the exact scaling law, from the fit at phi = 1 with the albedo free."""
-    unit = separable_to_burley.fit(
-        1 - FALLOFF_OFFSET, objective, reading=reading, albedo_bounds=(0.0, np.inf)
-    )
+    free, unit = (0.0, np.inf), np.array([1 - FALLOFF_OFFSET])
+    (albedo,), (d,), _, _ = separable_to_burley.fit_many(unit, objective, reading=reading, albedo_bounds=free)
     power = 2 if reading == "radial" else 1
     return {
-        "albedo": f"{unit.albedo:.9g} * (falloff + {FALLOFF_OFFSET})^{power}",
-        "d": f"{unit.d:.9g} mm * (falloff + {FALLOFF_OFFSET})",
-        "albedo_factor": unit.albedo,
+        "albedo": f"{albedo:.9g} * (falloff + {FALLOFF_OFFSET})^{power}",
+        "d": f"{d:.9g} mm * (falloff + {FALLOFF_OFFSET})",
+        "albedo_factor": float(albedo),
         "albedo_power": power,
-        "d_factor": unit.d,
+        "d_factor": float(d),
     }

@@ -101,7 +101,8 @@ def _section(table: dict[str, Any], plot: bytes) -> str:
     return (
         f"<h3>{name}</h3>\n<p>{escape(table['description'])} Unit of the values: {escape(table['unit'])}. "
         f"Axes: {escape(axes)}. {note}</p>\n"
-        f'<img alt="plot of {name}" width="{PIXELS[0]}" height="{PIXELS[1]}" src="data:image/png;base64,{picture}">\n'
+        f'<img alt="plot of {name}" width="{PIXELS[0]}" height="{PIXELS[1]}" '
+        f'src="data:image/png;base64,{picture}">\n'
         f"<details><summary>Files and storage errors</summary>{_files(table)}</details>\n"
         f'<details><summary>Parameters</summary><div class="scroll"><table>{parameters}</table></div>'
         "</details>"
