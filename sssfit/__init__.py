@@ -5,11 +5,29 @@ Topics are sub-packages with one path to each name: `sssfit.profiles.burley.ppf`
 Lengths are in millimetres.
 """
 
+import importlib
 from importlib.metadata import version as _version
+from typing import TYPE_CHECKING
 
-from sssfit import fitting as fitting
-from sssfit import profiles as profiles
-from sssfit import sampling as sampling
-from sssfit import tables as tables
+if TYPE_CHECKING:
+    from sssfit import files as files
+    from sssfit import fitting as fitting
+    from sssfit import profiles as profiles
+    from sssfit import sampling as sampling
+    from sssfit import tables as tables
 
 __version__ = _version("sssfit")
+
+_TOPICS = ("files", "fitting", "profiles", "sampling", "tables")
+
+
+def __getattr__(name: str):
+    # A topic is imported when it is first used: importing sssfit alone costs nothing, and the command
+    # line is in charge, Ctrl-C included, before JAX loads.
+    if name in _TOPICS:
+        return importlib.import_module(f"sssfit.{name}")
+    raise AttributeError(f"module 'sssfit' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_TOPICS]

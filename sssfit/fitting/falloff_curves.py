@@ -155,9 +155,35 @@ def linearized(residuals: Residuals, found: Array, problem: Problem) -> tuple[Ar
 
 @partial(jax.jit, static_argnums=0)
 def start(residuals: Residuals, problem: Problem, lower: Array, upper: Array) -> Array:
-    """d = phi / 2 and the albedo that suits it best, which is a linear problem, kept inside its bounds."""
+    """d = phi / 2 and the albedo that suits it best, kept inside its bounds."""
     d = jnp.asarray(0.5)
-    fitted = residuals(jnp.stack([jnp.ones_like(d), d]), problem) + problem.wanted
-    best = jnp.sum(fitted * problem.wanted) / jnp.sum(fitted * fitted)
+    best = _best_albedo(_per_albedo(residuals, problem, d), problem)
     span = jnp.minimum(upper - lower, 1)
     return jnp.stack([jnp.clip(best, lower + 1e-9 * span, upper - 0.05 * span), d])
+
+
+def profile_slope(
+    residuals: Residuals, problem: Problem, log_d: Array, lower: Array, upper: Array
+) -> tuple[Array, Array]:
+    """The least misfit over all albedos in [lower, upper], as a function of ln(d / phi) alone.
+
+    Returns:
+        The albedo that suits log_d best, and the derivative of half the squared misfit in log_d there, to
+        which the albedo's own change contributes nothing: it is the best one, or held by a bound.
+    """
+
+    def per_albedo(log_d: Array) -> Array:
+        return _per_albedo(residuals, problem, jnp.exp(log_d))
+
+    fitted, change = jax.jvp(per_albedo, (log_d,), (jnp.ones_like(log_d),))
+    albedo = jnp.clip(_best_albedo(fitted, problem), lower, upper)
+    return albedo, jnp.sum((albedo * fitted - problem.wanted) * albedo * change)
+
+
+def _per_albedo(residuals: Residuals, problem: Problem, d: Array) -> Array:
+    """Burley's curve for an albedo of 1; it is proportional to the albedo."""
+    return residuals(jnp.stack([jnp.ones_like(d), d]), problem) + problem.wanted
+
+
+def _best_albedo(fitted: Array, problem: Problem) -> Array:
+    return jnp.sum(fitted * problem.wanted) / jnp.sum(fitted * fitted)

@@ -26,6 +26,8 @@ Residuals = Callable[[Array, Any], Array]
 
 _MAX_STEPS = 1000
 _TOLERANCE = 1e-11
+# Newton's error is squared by a step, so this one leaves rounding alone.
+_ROOT_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def least_squares(
 
 def levenberg_marquardt(
     residuals: Residuals, problem: Any, start: Array, lower: ArrayLike, upper: ArrayLike
-) -> tuple[Array, Array]:
+) -> tuple[Array, Any]:
     """The optimistix path of `least_squares` as pure JAX, for `jit` and `vmap`.
 
     Args:
@@ -134,6 +136,50 @@ def levenberg_marquardt(
         throw=False,
     )
     return _from_line(solution.value, lower, upper), solution.result
+
+
+def rising_root(
+    function: Callable[[Array], Array], start: ArrayLike, lower: ArrayLike, upper: ArrayLike
+) -> tuple[Array, Array]:
+    """Where a scalar function goes from below 0 to above, by Newton's method kept in a shrinking bracket.
+
+    A step that leaves the bracket, or that a falling slope misleads, is replaced by a bisection.
+
+    Args:
+        function: JAX function from shape () to shape (), below 0 at `lower` and above at `upper`.
+        start: between the two, shape ().
+        lower: lower end, shape ().
+        upper: upper end, shape ().
+
+    Returns:
+        The root, and whether the search settled at one away from both ends; shape ().
+
+    Example:
+        >>> with jax.enable_x64(True):
+        ...     root, ok = rising_root(lambda x: x**2 - 4.0, 1.0, 0.0, 9.0)
+        >>> float(root).__round__(12), bool(ok)
+        (2.0, True)
+    """
+    lower, upper, start = (jnp.asarray(x, float) for x in (lower, upper, start))
+
+    def step(state):
+        low, high, x, _, count = state
+        value, slope = jax.jvp(function, (x,), (jnp.ones_like(x),))
+        low, high = jnp.where(value < 0, x, low), jnp.where(value < 0, high, x)
+        change = jnp.where(slope > 0, -value / slope, jnp.inf)
+        # What ends the search is a step that rounding alone may have put outside of the bracket.
+        inside = ((x + change > low) & (x + change < high)) | (jnp.abs(change) <= _ROOT_TOLERANCE)
+        change = jnp.where(inside, change, (low + high) / 2 - x)
+        return low, high, x + change, change, count + 1
+
+    def searching(state):
+        *_, change, count = state
+        return (jnp.abs(change) > _ROOT_TOLERANCE) & (count < _MAX_STEPS)
+
+    state = (lower, upper, start, jnp.full_like(start, jnp.inf), 0)
+    *_, root, change, _ = jax.lax.while_loop(searching, step, state)
+    at_end = jnp.minimum(root - lower, upper - root) <= 2 * _ROOT_TOLERANCE
+    return root, (jnp.abs(change) <= _ROOT_TOLERANCE) & ~at_end
 
 
 def succeeded(result) -> Array:

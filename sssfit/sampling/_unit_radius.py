@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from sssfit.profiles import _decay
 
@@ -52,7 +51,7 @@ def log_complement(xi: Array) -> Array:
     return jnp.log(u) + ((1 - u) - xi)
 
 
-def xie(xi: Array, c: ArrayLike) -> Array:
+def xie(xi: Array, c: Array) -> Array:
     """g(xi | c) of Xie et al. 2020, Eq 21."""
     return ((2 - c) * xi - 2) * log_complement(xi)
 

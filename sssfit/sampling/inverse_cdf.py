@@ -83,7 +83,7 @@ def closed_form(xi: ArrayLike, d: ArrayLike) -> Array:
     Returns:
         3 d ln((1 + G^(-1/3) + G^(1/3)) / (4 u)), G = 1 + 4 u (2 u + sqrt(1 + 4 u^2)), u = 1 - xi, in mm.
         Exact in real arithmetic; in float32 the absolute error is up to 1e-6 d (or 2e-7 of the radius),
-        so radii below 1e-3 d lose digits and those near 0 may come out as 0 or slightly negative. `exact` does not.
+        so radii below 1e-3 d lose digits and those near 0 may come out as 0 or slightly negative.
 
     Source: Golubev 2019. Natural logarithm and the complement u, as there (Xie 2021, Eq 5.4-5.5,
     prints xi for u, which draws the same density in reverse order).

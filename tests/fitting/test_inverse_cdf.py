@@ -1,5 +1,7 @@
 """The fit of c: published and reference values, three solvers, and integrals by SciPy's quadrature."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -59,7 +61,7 @@ def test_mean_square_matches_scipy(fits):
     def mean_square(c):
         return quad(lambda xi: (cdf(g(xi, c)) - xi) ** 2, 0, 1, epsabs=1e-13, limit=200)[0]
 
-    found = minimize_scalar(mean_square, bounds=(2.4, 2.8), method="bounded", options={"xatol": 1e-9})
+    found: Any = minimize_scalar(mean_square, bounds=(2.4, 2.8), method="bounded", options={"xatol": 1e-9})
     # A minimum located by values alone is good to the square root of their accuracy.
     assert fits["cdf_mse"].c == pytest.approx(found.x, abs=2e-5)
     assert fits["cdf_mse"].report.cdf_rms == pytest.approx(np.sqrt(found.fun), rel=1e-9)
