@@ -122,13 +122,19 @@ def parse(data: bytes, file: str) -> dict[str, Material]:
 
 def _name(row: Row, earlier: dict[str, Material]) -> str:
     name = row.cells["material"]
-    if not re.fullmatch(r"\w[\w .-]*", name) or name.endswith("."):
-        allowed = "use letters, digits, spaces, '.', '_' and '-', beginning with a letter or digit"
-        raise row.fault(f"the material name {name!r} cannot name a folder", allowed)
-    # File systems may not tell capitals from small letters.
-    if name.casefold() in (other.casefold() for other in earlier):
+    if not re.fullmatch(r"\w[\w .-]*", name, re.ASCII) or name.endswith("."):
+        problem = f"the material name {name!r} cannot name a folder"
+        raise row.fault(
+            problem, "use letters a to z, digits, spaces, '.', '_' and '-', a letter or digit first"
+        )
+    # Neither file systems nor shader text tell all names apart: "Wax 1" and "wax_1" are one.
+    if _key(name) in map(_key, earlier):
         raise row.fault(f"the material {name!r} stands there twice", "give each row its own name")
     return name
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[ ._-]+", "_", name).lower()
 
 
 def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """Which tables a set of materials gives: the universal ones, then four for each material."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -44,13 +44,14 @@ class Entry:
     """One table of a collection.
 
     Attributes:
-        folder: the material it belongs to, "" for a universal table.
-        table: the table.
+        path: where it is written, without a suffix; a folder for each material.
+        table: the table. That of a material has the material in its name too, so that shader text of
+            several materials can be included together.
         lookup_error: largest error of interpolating it, in its unit; None where entries are not
             meant to be interpolated.
     """
 
-    folder: str
+    path: str
     table: Table
     lookup_error: float | None
 
@@ -74,9 +75,9 @@ def jobs(materials: dict[str, Material], sizes: Sizes) -> Iterator[Job]:
     """
     yield "radius", partial(_radius, sizes)
     yield "falloff", partial(_falloff, sizes)
-    yield "falloff_kernel", lambda: Entry("", kernel.falloff_kernel_table(), None)
+    yield "falloff_kernel", lambda: Entry("falloff_kernel", kernel.falloff_kernel_table(), None)
     if materials:
-        yield "materials", lambda: Entry("", materials_table(list(materials.values())), None)
+        yield "materials", lambda: Entry("materials", materials_table(list(materials.values())), None)
     for material in materials.values():
         if not _skip_reason(material):
             for name, build in _MATERIAL_TABLES.items():
@@ -105,34 +106,40 @@ def _skip_reason(material: Material) -> str:
 
 def _radius(sizes: Sizes) -> Entry:
     table = radius.radius(sizes.line)
-    return Entry("", table, lookup_error(table, radius.evaluate))
+    return Entry("radius", table, lookup_error(table, radius.evaluate))
 
 
 def _falloff(sizes: Sizes) -> Entry:
     table = falloff.falloff(sizes.line)
     options = (table.parameters["objective"], table.parameters["reading"])
-    return Entry("", table, lookup_error(table, lambda x: falloff.evaluate(x, *options)))
+    return Entry("falloff", table, lookup_error(table, lambda x: falloff.evaluate(x, *options)))
+
+
+def _of(material: Material, table: Table, error: float | None) -> Entry:
+    name = f"{material.name}_{table.name}"
+    parameters = {"material": material.name} | table.parameters
+    return Entry(f"{material.name}/{table.name}", replace(table, name=name, parameters=parameters), error)
 
 
 def _transmittance(material: Material, sizes: Sizes) -> Entry:
     table = transmittance.transmittance(material.d, material.albedo, sizes.line)
     exact = partial(transmittance.evaluate, d=material.d, albedo=material.albedo)
-    return Entry(material.name, table, lookup_error(table, exact))
+    return _of(material, table, lookup_error(table, exact))
 
 
 def _curvature(material: Material, sizes: Sizes) -> Entry:
     table = curvature.curvature(material.d, sizes.image, sizes.image)
-    return Entry(material.name, table, lookup_error(table, partial(curvature.evaluate, d=material.d)))
+    return _of(material, table, lookup_error(table, partial(curvature.evaluate, d=material.d)))
 
 
 def _shadow(material: Material, sizes: Sizes) -> Entry:
     table = shadow.shadow(material.d, sizes.image, sizes.image)
-    return Entry(material.name, table, lookup_error(table, partial(shadow.evaluate, d=material.d)))
+    return _of(material, table, lookup_error(table, partial(shadow.evaluate, d=material.d)))
 
 
 def _kernel(material: Material, sizes: Sizes) -> Entry:
     del sizes  # a kernel's taps are a cost per pixel, not a resolution
-    return Entry(material.name, kernel.burley_kernel_table(material.d), None)
+    return _of(material, kernel.burley_kernel_table(material.d), None)
 
 
 _MATERIAL_TABLES: dict[str, Callable[[Material, Sizes], Entry]] = {

@@ -39,7 +39,7 @@ def report_html(manifest: dict[str, Any], plots: dict[str, bytes]) -> bytes:
     """
     groups: dict[str, list[dict[str, Any]]] = {}
     for table in manifest["tables"]:
-        groups.setdefault(table["folder"], []).append(table)
+        groups.setdefault(table["path"].rpartition("/")[0], []).append(table)
     body = [_header(manifest, list(groups))]
     for folder, tables in groups.items():
         body.append(f'<h2 id="{_anchor(folder)}">{escape(folder or "For every material")}</h2>')

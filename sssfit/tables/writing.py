@@ -81,9 +81,9 @@ def write(
             progress(title, done, len(work))
             start = time.perf_counter()
             entry = compute()
-            path = f"{entry.folder}/{entry.table.name}" if entry.folder else entry.table.name
-            plots[path] = plot(entry.table)
-            manifest["tables"].append(_write_entry(staging, path, entry, formats, plots[path], manifest))
+            plots[entry.path] = plot(entry.table)
+            described = _write_entry(staging, entry, formats, plots[entry.path], manifest)
+            manifest["tables"].append(described)
             seconds[title] = time.perf_counter() - start
         progress("report", len(work), len(work))
         _put(staging, "report.html", report_html(manifest, plots), manifest)
@@ -93,10 +93,10 @@ def write(
 
 
 def _write_entry(
-    staging: Path, path: str, entry: Entry, formats: Sequence[str], picture: bytes, manifest: dict[str, Any]
+    staging: Path, entry: Entry, formats: Sequence[str], picture: bytes, manifest: dict[str, Any]
 ) -> dict[str, Any]:
     """Write one table in every format; what the manifest says of it."""
-    table = entry.table
+    path, table = entry.path, entry.table
     _put(staging, f"{path}.plot.png", picture, manifest)
     stored: dict[str, Any] = {}
     errors: dict[str, dict[str, float]] = {}
@@ -115,8 +115,8 @@ def _write_entry(
         names = [path + suffix for suffix in files]
         stored[name] = {"files": names, "dtype": dtype, "quantization": errors[dtype]}
     return {
-        "folder": entry.folder,
         "path": path,
+        "name": table.name,
         "description": table.description,
         "unit": table.unit,
         "axes": [

@@ -42,7 +42,7 @@ def test_every_file_is_listed_and_loads(wax, tmp_path, capsys):
         for stored in entry["formats"].values():
             for name in stored["files"]:
                 if not name.endswith(".json"):
-                    assert tables.load(out / name).name == entry["path"].split("/")[-1]
+                    assert tables.load(out / name).name == entry["name"]
 
 
 def test_a_delta_channel_is_handled(wax, tmp_path):

@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+import subprocess
 import time
 
 import numpy as np
@@ -37,7 +39,7 @@ def run(source, tmp_path_factory):
 @pytest.fixture(scope="module")
 def exact(source):
     entries = [compute() for _, compute in jobs(materials.load(source), SIZES)]
-    return {f"{entry.folder}/{entry.table.name}".strip("/"): entry.table for entry in entries}
+    return {entry.path: entry.table for entry in entries}
 
 
 def test_two_runs_give_the_same_bytes(run, source, tmp_path):
@@ -152,3 +154,17 @@ def test_values_too_large_for_half_are_left_out_and_said(tmp_path):
 
 def test_shipped_materials_skip_only_the_white_standard():
     assert [s["material"] for s in skipped(materials.load(materials.shipped()))] == ["Spectralon"]
+
+
+@pytest.mark.skipif(shutil.which("glslangValidator") is None, reason="glslangValidator is not installed")
+@pytest.mark.parametrize("suffix", ["hlsl", "glsl"])
+def test_shader_text_of_all_tables_compiles_together(suffix, run, tmp_path):
+    out, manifest = run
+    stage = "-S frag" if suffix == "glsl" else "-V -D -S frag -e main -o all.spv"
+    version = ["#version 450"] if suffix == "glsl" else []
+    texts = [(out / table["formats"][suffix]["files"][0]).read_text() for table in manifest["tables"]]
+    entry = {"hlsl": "float4 main() : SV_Target { return 0; }", "glsl": "void main() {}"}[suffix]
+    (tmp_path / f"all.{suffix}").write_text("\n".join([*version, *texts, entry]))
+    command = ["glslangValidator", *stage.split(), f"all.{suffix}"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
