@@ -135,27 +135,26 @@ def run_separable(options: argparse.Namespace) -> int:
             print(f"{result.albedo:.6g} {result.d:.6g} {result.dmfp:.6g}")
     else:
         _print_table(
-            ["falloff", "albedo", "d [mm]", "dmfp [mm]", "residual", "condition"],
+            ["falloff", "albedo", "d [mm]", "dmfp [mm]", "residual"],
             [_separable_row(result) for result in results],
         )
         for result in results:
-            if result.reason:
-                print(f"falloff {result.falloff:g}: {result.reason}")
+            condition = f"condition number {result.identifiability.condition_number:.3g}"
+            print(f"falloff {result.falloff:g}: {result.reason or condition}")
             _print_solvers(result)
     return 0 if all(result.converged for result in results) else 1
 
 
 def _separable_row(result) -> tuple[str, ...]:
     def cell(value, interval):
-        return f"{value:.5g} [{interval[0]:.3g}, {interval[1]:.3g}]" if value == value else "not determined"
+        return f"{value:.5g}\n[{interval[0]:.3g}, {interval[1]:.3g}]" if value == value else "undetermined"
 
     return (
         f"{result.falloff:g}",
-        cell(result.albedo, result.albedo_interval) + (" (at bound)" if result.at_bound else ""),
+        cell(result.albedo, result.albedo_interval) + ("\n(at its bound)" if result.at_bound else ""),
         cell(result.d, result.d_interval),
         cell(result.dmfp, result.dmfp_interval),
         f"{result.relative_residual:.3g}",
-        f"{result.identifiability.condition_number:.3g}",
     )
 
 

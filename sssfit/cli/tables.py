@@ -51,7 +51,7 @@ def add_command(commands) -> None:
         type=int,
         default=Sizes.line,
         metavar="N",
-        help="entries of 1-D tables, at least 8 (default: %(default)s)",
+        help="entries of 1-D tables, at least 12 (default: %(default)s)",
     )
     command.add_argument(
         "--size-2d",

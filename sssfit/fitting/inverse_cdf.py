@@ -93,7 +93,7 @@ def fit_c(objective: Objective = "cdf_mse", solver: SolverChoice = "optimistix")
     Raises:
         ValueError: the objective or the solver is unknown.
 
-    Source: Xie et al. 2020, section 4.2, Eq 21, which prints the result and not the objective.
+    Source: Xie et al. 2020, section 4.2, Eq 21, for "cdf_mse"; the other objectives are ours.
 
     Example:
         >>> round(fit_c("cdf_mse").c, 6)

@@ -1,7 +1,8 @@
 """From the separable kernel's falloff colour to Burley's albedo and diffuse mean free path.
 
 The separable blur of real-time engines is driven by the falloff profile P(r / phi), phi = falloff + 0.001.
-The papers fit Burley's profile to it by least squares, "with the r term inside", which can be read twice:
+The papers fit Burley's profile to it by least squares, both "with the r term already included", which can be
+read twice:
 
 - reading "as_coded": r R(r) is fitted to P(r / phi), the kernel as the demo uses it along a line;
 - reading "radial": r R(r) is fitted to r P(r / phi), radial density against radial density.

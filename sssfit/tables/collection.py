@@ -18,10 +18,10 @@ class Sizes:
     """How many entries the tables have.
 
     Attributes:
-        line: entries of a 1-D table, >= 8.
+        line: entries of a 1-D table, >= 12.
         image: entries along each side of a 2-D table, >= 2. With one more than a multiple of 20 the
             kinks of the unscattered curves, at N.L = 0 and at the shadow ramp's corners, lie on
-            entries, which cuts the error of lookup to a fifth and less.
+            entries, which cuts the error of lookup several times.
 
     Example:
         >>> Sizes().line
@@ -33,8 +33,8 @@ class Sizes:
 
     def __post_init__(self):
         """Refuse sizes that no table can have."""
-        if self.line < 8:
-            raise ValueError(f"size must be at least 8, got {self.line}")
+        if self.line < 12:
+            raise ValueError(f"size must be at least 12, got {self.line}")
         if self.image < 2:
             raise ValueError(f"size-2d must be at least 2, got {self.image}")
 

@@ -9,8 +9,8 @@ from sssfit.tables.table import Axis, Table
 
 CHANNELS = ("albedo", "d", "dmfp")
 
-#: Degree of the polynomials that stand in for the table in a shader.
-DEGREE = 5
+#: Degrees of the polynomials that may stand in for the table in a shader, each with its error.
+DEGREES = (1, 2, 5, 9)
 
 
 def falloff(
@@ -23,27 +23,27 @@ def falloff(
     engine can use the two constants under `parameters["law"]` in place of the table.
 
     Args:
-        num_entries: at least 8; entry i belongs to falloff (i + 1) / num_entries.
+        num_entries: at least 12; entry i belongs to falloff (i + 1) / num_entries.
         objective: as `separable_to_burley.fit`.
         reading: as `separable_to_burley.fit`.
 
     Returns:
         1-D table over the falloff, channels albedo (unit 1), d and dmfp (mm). `parameters` holds the
-        law, and for each channel the coefficients, lowest power first, of a polynomial of degree 5 in
-        the falloff with its largest error over the table.
+        law, and for each channel polynomials in the falloff of degrees 1, 2, 5 and 9 with their largest
+        error over the table: the exact dmfp has degree 9 for "radial", 5 for "as_coded" below its bound.
 
     Raises:
-        ValueError: fewer than eight entries, an unknown option, or an objective that does not
+        ValueError: fewer than twelve entries, an unknown option, or an objective that does not
             determine the parameters.
 
     Source: Xie et al. 2020, appendix A.1, Eq 25-27.
 
     Example:
-        >>> falloff(8).values[-1].round(3)
+        >>> falloff(12).values[-1].round(3)
         array([ 0.87 ,  0.895, 10.762])
     """
-    if num_entries < 8:
-        raise ValueError(f"num_entries must be at least 8, got {num_entries}")
+    if num_entries < 12:
+        raise ValueError(f"num_entries must be at least 12, got {num_entries}")
     nodes = np.arange(1, num_entries + 1) / num_entries
     values = evaluate(nodes, objective, reading)
     return Table(
@@ -59,7 +59,10 @@ def falloff(
             "domain": list(separable_to_burley.DEFAULT_DOMAINS[objective]),
             "albedo_bounds": [0.0, 1.0],
             "law": _law(objective, reading),
-            "polynomials": {name: polynomial(nodes, values[:, i], DEGREE) for i, name in enumerate(CHANNELS)},
+            "polynomials": {
+                name: [polynomial(nodes, values[:, i], degree) for degree in DEGREES]
+                for i, name in enumerate(CHANNELS)
+            },
         },
     )
 
@@ -102,7 +105,7 @@ def polynomial(x: np.ndarray, y: np.ndarray, degree: int) -> dict[str, object]:
         degree: of the polynomial, below n.
 
     Returns:
-        "coefficients", lowest power first, and "max_error" over x, in the unit of y.
+        "degree", "coefficients", lowest power first, and "max_error" over x, in the unit of y.
 
     Example:
         >>> polynomial(np.linspace(0, 1, 9), np.linspace(0, 1, 9) ** 2, 1)["max_error"].__round__(4)
@@ -110,6 +113,7 @@ def polynomial(x: np.ndarray, y: np.ndarray, degree: int) -> dict[str, object]:
     """
     fitted = np.polynomial.Polynomial.fit(x, y, degree)
     return {
+        "degree": degree,
         "coefficients": fitted.convert().coef.tolist(),
         "max_error": float(np.max(np.abs(fitted(x) - y))),
     }

@@ -94,7 +94,7 @@ def test_bad_input_is_one_sentence_and_loses_nothing(case, tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["--size", "0"], "size must be at least 8, got 0"),
+        (["--size", "0"], "size must be at least 12, got 0"),
         (["--size-2d", "1"], "size-2d must be at least 2, got 1"),
     ],
 )
