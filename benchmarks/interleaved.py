@@ -76,14 +76,17 @@ def _version(package: str) -> str:
 
 
 def _processor() -> str:
+    """What Linux calls the first processor; elsewhere what the platform module knows."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        text = Path("/proc/cpuinfo").read_text()
     except OSError:
-        return platform.processor() or platform.machine()
-    facts = dict(line.split("\t: ", 1) if "\t: " in line else (line, "") for line in reversed(lines))
-    name = next((value for key, value in facts.items() if key.strip() == "model name"), platform.machine())
-    features = next((value.split() for key, value in facts.items() if key.strip() == "flags"), [])
-    return name + (" with AVX-512" if "avx512f" in features else "")
+        text = ""
+    facts: dict[str, str] = {}
+    for line in text.splitlines():
+        key, _, value = line.partition(":")
+        facts.setdefault(key.strip(), value.strip())
+    name = facts.get("model name") or platform.processor() or platform.machine()
+    return name + (" with AVX-512" if "avx512f" in facts.get("flags", "").split() else "")
 
 
 def _commit() -> str:

@@ -42,7 +42,7 @@ def _closed_form(xi):
 
 @compiled
 def _published(xi):
-    return (PUBLISHED_SLOPE * xi - TWO) * math.log1p(-xi)
+    return (PUBLISHED_SLOPE * xi - TWO) * math.log(ONE - xi)
 
 
 @compiled

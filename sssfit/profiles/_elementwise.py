@@ -41,6 +41,7 @@ def on_support(
     """
     inside = (r >= 0) & (d > 0) & (r <= _FAR * d)
     x = ratio(jnp.where(inside, r, 0), jnp.where(inside, d, 1))
-    outside = jnp.where(r < 0, below, jnp.where(r >= 0, beyond, jnp.nan))
+    # Not r >= 0, which XLA takes to be true of an absolute value, NaN or not.
+    outside = jnp.where(jnp.isnan(r), jnp.nan, jnp.where(r < 0, below, beyond))
     outside = jnp.where(d >= 0, outside, jnp.nan)
     return jnp.where(inside, function(x), outside.astype(x.dtype))

@@ -58,12 +58,12 @@ def diffuse_reflectance(sigma_s_reduced: ArrayLike, sigma_a: ArrayLike, eta: Arr
     extinction = sigma_s_reduced + sigma_a
     present = extinction > 0
     absorption, total = jnp.where(present, sigma_a, 1), jnp.where(present, extinction, 1)
-    # 1 - a' straight from the absorption: the difference would lose what a white medium absorbs.
-    absorbed = absorption / total
+    # a' and 1 - a' each as a ratio: a difference would lose what a white medium absorbs, or a black one
+    # scatters. The root of 1 - a' as two, so that without absorption its derivative is infinite in the
+    # absorption and 0 in the scattering.
     fresnel = fresnel_diffuse_reflectance(eta)
     boundary = (1 + fresnel) / (1 - fresnel)
-    # Two roots, so that without absorption the derivative is infinite in it and 0 in the scattering.
     depth = jnp.sqrt(3 / total) * jnp.sqrt(absorption)
-    reflectance = (1 - absorbed) / 2 * (1 + jnp.exp(-4 / 3 * boundary * depth)) * jnp.exp(-depth)
+    reflectance = sigma_s_reduced / total / 2 * (1 + jnp.exp(-4 / 3 * boundary * depth)) * jnp.exp(-depth)
     reflectance = jnp.where(present, reflectance, 0)
     return jnp.where((sigma_s_reduced >= 0) & (sigma_a >= 0), reflectance, jnp.nan).astype(dtype)

@@ -122,7 +122,7 @@ def parse(data: bytes, file: str) -> dict[str, Material]:
 
 def _name(row: Row, earlier: dict[str, Material]) -> str:
     name = row.cells["material"]
-    if not re.fullmatch(r"\w[\w .-]*", name, re.ASCII) or name.endswith("."):
+    if not re.fullmatch(r"[a-zA-Z0-9][\w .-]*", name, re.ASCII) or name.endswith("."):
         problem = f"the material name {name!r} cannot name a folder"
         raise row.fault(
             problem, "use letters a to z, digits, spaces, '.', '_' and '-', a letter or digit first"
@@ -140,8 +140,8 @@ def _key(name: str) -> str:
 def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:
     lengths = {f"1/{unit}": 1 / size for unit, size in _MILLIMETRES.items()}
     per_millimetre = _unit(row, lengths)
-    sigma_s_reduced = _channels(row, "sigma_s_reduced", "coefficient") * per_millimetre
-    sigma_a = _channels(row, "sigma_a", "coefficient") * per_millimetre
+    sigma_s_reduced = _channels(row, "sigma_s_reduced", "a coefficient") * per_millimetre
+    sigma_a = _channels(row, "sigma_a", "a coefficient") * per_millimetre
     eta = row.number("eta")
     if eta <= 0:
         raise row.fault(f"the refractive index eta is {eta:g}", "write a number above 0, such as 1.3")
@@ -153,11 +153,11 @@ def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:
 
 def _artist(row: Row) -> tuple[np.ndarray, np.ndarray]:
     millimetres = _unit(row, _MILLIMETRES)
-    albedo = _channels(row, "albedo", "albedo")
+    albedo = _channels(row, "albedo", "an albedo")
     for channel, value in zip(CHANNELS, albedo, strict=True):
         if value > 1:
             raise row.fault(f"albedo_{channel} is {value:g}", "an albedo lies in [0, 1]")
-    return albedo, _channels(row, "dmfp", "path length") * millimetres
+    return albedo, _channels(row, "dmfp", "a path length") * millimetres
 
 
 def _unit(row: Row, known: dict[str, float]) -> float:
@@ -171,5 +171,5 @@ def _channels(row: Row, name: str, what: str) -> np.ndarray:
     values = np.array([row.number(f"{name}_{channel}") for channel in CHANNELS])
     for channel, value in zip(CHANNELS, values, strict=True):
         if value < 0:
-            raise row.fault(f"{name}_{channel} is {value:g}", f"a {what} cannot be negative")
+            raise row.fault(f"{name}_{channel} is {value:g}", f"{what} cannot be negative")
     return values
