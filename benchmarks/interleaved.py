@@ -59,12 +59,37 @@ def quartiles(times: np.ndarray) -> Timing:
     return Timing(*(float(q) for q in np.percentile(times, (25, 50, 75))))
 
 
+class Neighbours:
+    """How much of the processors other programs use, from when it is made."""
+
+    def __init__(self) -> None:
+        self._start = self._counters()
+
+    def describe(self) -> str:
+        """A clause on it; on Linux alone, where the system counts what all programs use."""
+        if self._start is None or (now := self._counters()) is None:
+            return "use of the processors by others unknown"
+        everyone, available, own = (after - before for after, before in zip(now, self._start, strict=True))
+        return f"others used {max(0.0, (everyone - own) / available):.0%} of the processors"
+
+    @staticmethod
+    def _counters() -> tuple[float, float, float] | None:
+        """Processor seconds since the start: used by all, available, used by this process."""
+        try:
+            line = Path("/proc/stat").read_text().splitlines()[0]
+        except OSError:
+            return None
+        user, nice, system, idle, waiting, *interrupts = (int(n) / 100 for n in line.split()[1:9])
+        used = user + nice + system + sum(interrupts)
+        return used, used + idle + waiting, time.process_time()
+
+
 def machine() -> str:
-    """One line: processor, cores, load, versions, date and commit."""
+    """One line: processor, cores, versions, date and commit."""
     versions = ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
     return (
-        f"{_processor()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.2f}; "
-        f"Python {platform.python_version()}, {versions}; {date.today()}, commit {_commit()}"
+        f"{_processor()}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}; "
+        f"{date.today()}, commit {_commit()}"
     )
 
 

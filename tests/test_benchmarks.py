@@ -31,8 +31,10 @@ def test_programs_take_turns_in_changing_order(load):
 
 
 def test_the_machine_is_described(load):
-    pattern = r".+, \d+ cores, load \S+; Python 3.+, numpy \d.+; \d{4}-\d\d-\d\d, commit \w+"
-    assert re.fullmatch(pattern, load("interleaved").machine())
+    pattern = r".+, \d+ cores; Python 3.+, numpy \d.+; \d{4}-\d\d-\d\d, commit \w+"
+    interleaved = load("interleaved")
+    assert re.fullmatch(pattern, interleaved.machine())
+    assert re.fullmatch(r"others used \d+% of .*|use of .* unknown", interleaved.Neighbours().describe())
 
 
 def test_samplers(load, tmp_path, capsys):

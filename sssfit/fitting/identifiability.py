@@ -49,6 +49,9 @@ class Identifiability:
 def interval_factor(variance: np.ndarray | float) -> np.ndarray:
     """exp(1.96 sqrt(variance)): the 95 % interval of a length or an albedo, given ln's variance.
 
+    Args:
+        variance: of the logarithm, >= 0.
+
     Example:
         >>> float(interval_factor(0.0))
         1.0

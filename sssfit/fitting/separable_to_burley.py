@@ -22,13 +22,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sssfit.fitting import falloff_curves, identifiability, solve
-from sssfit.fitting.falloff_curves import DEFAULT_DOMAINS as DEFAULT_DOMAINS
-from sssfit.fitting.falloff_curves import OBJECTIVES as OBJECTIVES
-from sssfit.fitting.falloff_curves import READINGS as READINGS
-from sssfit.fitting.falloff_curves import Domain as Domain
-from sssfit.fitting.falloff_curves import Objective as Objective
-from sssfit.fitting.falloff_curves import Reading as Reading
+from sssfit.fitting import _falloff_curves, identifiability, solve
+from sssfit.fitting._falloff_curves import DEFAULT_DOMAINS as DEFAULT_DOMAINS
+from sssfit.fitting._falloff_curves import OBJECTIVES as OBJECTIVES
+from sssfit.fitting._falloff_curves import READINGS as READINGS
+from sssfit.fitting._falloff_curves import Domain as Domain
+from sssfit.fitting._falloff_curves import Objective as Objective
+from sssfit.fitting._falloff_curves import Reading as Reading
 from sssfit.fitting.identifiability import Identifiability
 from sssfit.fitting.solve import Solution, SolverChoice
 from sssfit.profiles import burley
@@ -138,18 +138,20 @@ def fit(
     node_weights = node_weights * _extra(weights, nodes)
     phi = falloff + FALLOFF_OFFSET
     lower, upper = _bounds(albedo_bounds)
-    residuals = falloff_curves.residual_function(objective, normalize)
+    residuals = _falloff_curves.residual_function(objective, normalize)
     with jax.enable_x64(True):
-        problem = falloff_curves.problem(
+        problem = _falloff_curves.problem(
             jnp.asarray(phi), jnp.asarray(nodes), jnp.asarray(node_weights), objective, reading, normalize
         )
-        start = np.asarray(falloff_curves.start(residuals, problem, lower[0], upper[0]))
+        start = np.asarray(_falloff_curves.start(residuals, problem, lower[0], upper[0]))
         solutions = tuple(
             solve.least_squares(residuals, problem, start, lower, upper, name)
             for name in solve.chosen(solver)
         )
         found = solutions[0].parameters
-        misfit, jacobian, norm = (np.asarray(a) for a in falloff_curves.linearized(residuals, found, problem))
+        misfit, jacobian, norm = (
+            np.asarray(a) for a in _falloff_curves.linearized(residuals, found, problem)
+        )
     low, high = _on_bounds(found[0], albedo_bounds)
     # A parameter held by its bound is not estimated: the data determine the other one alone.
     free = jacobian[:, 1:] if low or high else jacobian
@@ -227,13 +229,13 @@ def fit_many(
 
 @partial(jax.jit, static_argnums=(5, 6))
 def _fit_batch(phi, rho, weights, lower, upper, objective, reading):
-    residuals = falloff_curves.residual_function(objective, False)
+    residuals = _falloff_curves.residual_function(objective, False)
 
     def one(phi):
-        problem = falloff_curves.problem(phi, rho, weights, objective, reading, False)
+        problem = _falloff_curves.problem(phi, rho, weights, objective, reading, False)
 
         def along(log_d):
-            return falloff_curves.profile_slope(residuals, problem, log_d, lower[0], upper[0])
+            return _falloff_curves.profile_slope(residuals, problem, log_d, lower[0], upper[0])
 
         log_d, converged = solve.rising_root(
             lambda log_d: along(log_d)[1], jnp.log(0.5), jnp.log(lower[1]), jnp.log(_LARGEST_D)

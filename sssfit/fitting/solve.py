@@ -52,6 +52,9 @@ class Solution:
 def chosen(solver: SolverChoice) -> tuple[SolverName, ...]:
     """The solvers that a choice names: itself, or the three for "all".
 
+    Args:
+        solver: a solver's name, or "all".
+
     Raises:
         ValueError: the choice is unknown.
 
@@ -182,8 +185,17 @@ def rising_root(
     return root, (jnp.abs(change) <= _ROOT_TOLERANCE) & ~at_end
 
 
-def succeeded(result) -> Array:
-    """Whether an optimistix result means convergence, also inside `jit` and `vmap`."""
+def succeeded(result: Any) -> Array:
+    """Whether an optimistix result means convergence, also inside `jit` and `vmap`.
+
+    Args:
+        result: the `result` of an optimistix solution.
+
+    Example:
+        >>> import optimistix
+        >>> bool(succeeded(optimistix.RESULTS.successful))
+        True
+    """
     import optimistix
 
     return result == optimistix.RESULTS.successful

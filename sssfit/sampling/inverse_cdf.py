@@ -164,7 +164,7 @@ def mixture(xi: ArrayLike, d: ArrayLike) -> Array:
     xi = _unit_radius.clamped(xi)
     narrow = xi < 0.25
     # The complement of the reused variate: 4 (1 - xi) / 3 is exact where 1 - (xi - 1/4) / (3/4) is not.
-    within_narrow = -_unit_radius.log_complement(4 * jnp.where(narrow, xi, 0))
+    within_narrow = 0 - _unit_radius.log_complement(4 * jnp.where(narrow, xi, 0))
     within_wide = -3 * jnp.log(4 * (1 - jnp.where(narrow, 0.5, xi)) / 3)
     return (d * jnp.where(narrow, within_narrow, jnp.maximum(within_wide, 0))).astype(dtype)
 

@@ -36,15 +36,16 @@ def test_scaling_in_print(x64, column, configuration):
 def test_scaling_outside_the_fit_is_nan(dtype, configuration):
     step = np.finfo(dtype).eps
     albedo = np.array([-step, -1, -np.inf, 1 + step, 2, np.inf, np.nan], dtype)
-    assert np.all(np.isnan(burley.scaling(albedo, configuration)))
+    scaling = jax.jit(burley.scaling, static_argnums=1)
+    assert np.all(np.isnan(scaling(albedo, configuration)))
     ends = np.array([0, 1], dtype)
-    assert np.all(np.isfinite(burley.scaling(ends, configuration)))
+    assert np.all(np.isfinite(scaling(ends, configuration)))
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_scaling_is_smooth(x64, configuration):
     albedo = np.array([0.0, 0.33, 0.5, 0.8, 0.9, 1.0])
-    slope = jax.vmap(jax.grad(lambda albedo: burley.scaling(albedo, configuration)))(albedo)
+    slope = jax.jit(jax.vmap(jax.grad(lambda albedo: burley.scaling(albedo, configuration))))(albedo)
     # The cube of |albedo - 0.8| has no kink at 0.8.
     expected = {
         "searchlight": -1 + 21 * (albedo - 0.8) * np.abs(albedo - 0.8),
@@ -84,7 +85,7 @@ def test_paths_at_the_ends(dtype, convert):
     path = np.array([0, np.inf, -1, np.nan, 1, 1], dtype)
     albedo = np.array([0.5, 0.5, 0.5, 0.5, 1.5, np.nan], dtype)
     expected = np.array([0, np.inf, np.nan, np.nan, np.nan, np.nan], dtype)
-    np.testing.assert_array_equal(convert(path, albedo), expected)
+    np.testing.assert_array_equal(jax.jit(convert)(path, albedo), expected)
 
 
 def test_unknown_configurations_are_refused():
@@ -131,9 +132,9 @@ def test_dmfp_of_coefficients_at_the_ends(dtype):
         (1, 1, np.nan, np.nan),
     ]
     sigma_s, sigma_a, g, expected = (np.array(column, dtype) for column in zip(*table, strict=True))
-    found = burley.dmfp_from_coefficients(sigma_s, sigma_a, g)
+    found = jax.jit(burley.dmfp_from_coefficients)(sigma_s, sigma_a, g)
     np.testing.assert_allclose(found, expected, rtol=2 * float(np.finfo(dtype).eps))
-    gradients = jax.vmap(jax.grad(burley.dmfp_from_coefficients, (0, 1, 2)))(sigma_s, sigma_a, g)
+    gradients = jax.jit(jax.vmap(jax.grad(burley.dmfp_from_coefficients, (0, 1, 2))))(sigma_s, sigma_a, g)
     # Without absorption the path is infinite whatever else changes; elsewhere it depends on all.
     assert np.all(np.array(gradients)[:, :2] == 0)
     assert np.all(np.isfinite(np.array(gradients)[:, 2:4]))

@@ -84,7 +84,8 @@ def test_the_dtype_is_that_of_the_arguments(name):
             assert jax.eval_shape(function, *cast(arguments, jnp.float32)).dtype == jnp.float32
             assert jax.eval_shape(function, *cast(arguments, known)).dtype == known
             assert jax.eval_shape(function, *(a.astype(int) for a in arguments)).dtype == known
-            assert function(*arguments).dtype == known  # NumPy's own float64
+            # NumPy's own float64.
+            assert jax.eval_shape(function, *arguments).dtype == known
 
 
 @pytest.mark.parametrize("name", ELEMENTWISE)
@@ -101,9 +102,9 @@ def test_vmap_agrees_with_a_loop(name):
 @pytest.mark.parametrize("name", ["burley_kernel", "falloff_kernel"])
 def test_kernels_of_several_channels_are_those_of_one(name):
     function, (offsets, *arguments) = OTHERS[name]
-    together = function(offsets, *arguments)
+    together = jax.jit(function)(offsets, *arguments)
     for channel in range(len(LENGTH)):
-        alone = function(offsets, *(a[channel] for a in arguments))
+        alone = jax.jit(function)(offsets, *(a[channel] for a in arguments))
         np.testing.assert_allclose(together[:, channel], alone, rtol=ROUNDING)
 
 
@@ -112,9 +113,9 @@ def test_kernels_of_several_channels_are_those_of_one(name):
 def test_half_precision_in_and_out(name, half):
     function, arguments = EVERY[name]
     halved = cast(arguments, half)
-    found = function(*halved)
+    found = jax.jit(function)(*halved)
     assert found.dtype == half
-    single = np.asarray(function(*cast(halved, jnp.float32)))
+    single = np.asarray(jax.jit(function)(*cast(halved, jnp.float32)))
     np.testing.assert_allclose(found.astype(jnp.float32), single, rtol=float(jnp.finfo(half).eps), atol=6e-8)
 
 

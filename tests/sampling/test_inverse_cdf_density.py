@@ -76,6 +76,17 @@ def test_the_density_is_the_reciprocal_slope_of_the_radius(x64, name):
     assert np.all(np.abs(density * quotient - 1) < 1e-9 + noise)
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_the_clamp_does_not_change_the_slope_at_the_clamp(x64, name):
+    # There the slope is a one-sided one: not half of it, and not 0.
+    xi = np.array([CLAMP - 1e-13, CLAMP])
+    density = np.asarray(jax.jit(METHODS[name].pdf)(xi, 1.0))
+    slope = np.asarray(jax.jit(jax.vmap(jax.grad(METHODS[name].radius), (0, None)))(xi, 1.0))
+    # 1e-13 is 2e-6 of what is left.
+    assert density[1] == pytest.approx(density[0], rel=1e-5)
+    assert slope[1] == pytest.approx(slope[0], rel=1e-5)
+
+
 def test_the_mixture_draws_the_profile_from_its_two_branches(x64):
     # At a radius, each branch has one variate; their densities add up, as do their probabilities.
     r = np.geomspace(1e-3, 40, 300)
@@ -112,9 +123,9 @@ def test_mixture_samples_follow_the_profile():
 
     xi = jax.random.uniform(jax.random.key(20), (count,))
     limit = stats.kstwo.ppf(0.999, count)
-    assert distance(inverse_cdf.mixture(xi, 2.0)) < limit
+    assert distance(jax.jit(inverse_cdf.mixture)(xi, 2.0)) < limit
     # The test can tell: g's density is 0.0099 off, which is five times the limit.
-    assert distance(inverse_cdf.xie(xi, 2.0)) > 2 * limit
+    assert distance(jax.jit(inverse_cdf.xie)(xi, 2.0)) > 2 * limit
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -142,8 +153,11 @@ def test_weights_do_not_depend_on_the_shape(x64, name, d):
 def test_methods_that_draw_the_profile_have_weight_one(name):
     xi = np.linspace(0, 1, 10_001, dtype=np.float32)
     method = METHODS[name]
-    r = method.radius(xi, np.float32(2))
-    np.testing.assert_array_equal(method.pdf(xi, np.float32(2)), burley.pdf(r, np.float32(2)))
+
+    def both(xi, d):
+        return method.pdf(xi, d), burley.pdf(method.radius(xi, d), d)
+
+    np.testing.assert_array_equal(*jax.jit(both)(xi, np.float32(2)))
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -171,7 +185,7 @@ def test_float32_densities_are_those_of_float64(name, reference):
 
 def exact_radius(xi):
     with jax.enable_x64(True):
-        return np.asarray(burley.ppf(xi.astype(np.float64), 1.0))
+        return np.asarray(jax.jit(burley.ppf)(xi.astype(np.float64), 1.0))
 
 
 def test_the_papers_density_in_print(x64):
