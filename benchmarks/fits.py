@@ -2,16 +2,19 @@
 
     python benchmarks/fits.py
 
-prints a Markdown table for each reading. docs/benchmarks.md explains it.
+prints a Markdown table for each reading. docs/benchmarks.md explains it, and --page docs/benchmarks.md
+puts the tables there.
 """
 
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import interleaved
 import numpy as np
+import page
 from scipy.optimize import brentq, least_squares
 
 from sssfit.fitting import separable_to_burley
@@ -140,24 +143,29 @@ def table(results: dict[str, Result]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> dict[Reading, dict[str, Result]]:
-    """Measure and print."""
+    """Measure, print, and write the page asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--falloffs", type=int, default=4096, help="fits of a run of fit_many")
     parser.add_argument("--loop-falloffs", type=int, default=256, help="fits of a run of the loops")
     parser.add_argument("--repeats", type=int, default=9, help="timed runs of each")
+    parser.add_argument("--page", type=Path, help="put the tables between their marks in this page")
     options = parser.parse_args(arguments)
     falloffs, few = (np.linspace(0.01, 1, count) for count in (options.falloffs, options.loop_falloffs))
-    print(interleaved.machine())
-    everything = {}
+    neighbours = interleaved.Neighbours()
+    everything, tables = {}, []
     for reading in READINGS:
         start = time.perf_counter()
         ours(falloffs, reading)
         first = time.perf_counter() - start
         results = everything[reading] = compare(falloffs, few, reading, options.repeats)
         later = np.median(results[OURS].seconds) * len(falloffs)
-        print(
-            f"\nReading {reading!r}: first call {first:.2f} s, later calls {later:.3f} s\n\n{table(results)}"
-        )
+        calls = f"first call {first:.2f} s, with the compilation; later calls {later:.3f} s"
+        tables.append(f"Reading `{reading}`, {len(falloffs)} fits: {calls}.\n\n{table(results)}")
+    conditions = f"{interleaved.machine()}; {neighbours.describe()}. {options.repeats} rounds."
+    report = "\n\n".join([conditions, *tables])
+    print(report)
+    if options.page:
+        page.replace(options.page, "fits", report)
     return everything
 
 

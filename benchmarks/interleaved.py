@@ -70,7 +70,8 @@ class Neighbours:
         if self._start is None or (now := self._counters()) is None:
             return "use of the processors by others unknown"
         everyone, available, own = (after - before for after, before in zip(now, self._start, strict=True))
-        return f"others used {max(0.0, (everyone - own) / available):.0%} of the processors"
+        share = max(0.0, everyone - own) / max(available, 1e-9)
+        return f"others used {share:.0%} of the processors"
 
     @staticmethod
     def _counters() -> tuple[float, float, float] | None:
@@ -79,7 +80,8 @@ class Neighbours:
             line = Path("/proc/stat").read_text().splitlines()[0]
         except OSError:
             return None
-        user, nice, system, idle, waiting, *interrupts = (int(n) / 100 for n in line.split()[1:9])
+        ticks = os.sysconf("SC_CLK_TCK")
+        user, nice, system, idle, waiting, *interrupts = (int(n) / ticks for n in line.split()[1:9])
         used = user + nice + system + sum(interrupts)
         return used, used + idle + waiting, time.process_time()
 

@@ -2,7 +2,8 @@
 
     python benchmarks/inverse_cdf.py --csv methods.csv --plot front.png
 
-prints a Markdown table and writes the files asked for. docs/benchmarks.md explains the columns.
+prints a Markdown table and writes the files asked for. docs/benchmarks.md explains the columns, and
+--page docs/benchmarks.md puts the table there.
 """
 
 import argparse
@@ -11,8 +12,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import front_plot
 import interleaved
 import numpy as np
+import page
 import samplers
 from interleaved import Timing
 from samplers import Sampler
@@ -119,28 +122,36 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> list[Row]:
     """Measure, print, and write the files asked for."""
+    options = _parser().parse_args(arguments)
+    contestants = [s for s in samplers.everything() if s.library in (options.libraries or (s.library,))]
+    neighbours = interleaved.Neighbours()
+    per_sample, floor = times(contestants, options.samples, options.repeats)
+    conditions = f"{interleaved.machine()}; {neighbours.describe()}."
+    rows = with_fronts(
+        [Row(s.name, s.library, per_sample[s.name], errors(s, options.grid)) for s in contestants]
+    )
+    traffic = f"Reading and writing the arrays alone takes {floor.median:.2f} ns per sample."
+    report = f"{conditions} {options.repeats} rounds. {traffic}\n\n{table(rows)}"
+    print(report)
+    if options.csv:
+        write_csv(rows, options.csv)
+    if options.plot:
+        front_plot.draw(rows, floor.median, options.plot)
+    if options.page:
+        page.replace(options.page, "samplers", report)
+    return rows
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--samples", type=int, default=10_000_000, help="radii per timed run")
     parser.add_argument("--repeats", type=int, default=9, help="timed runs of each sampler")
     parser.add_argument("--grid", type=int, default=2**24, help="variates that errors are taken over")
     parser.add_argument("--libraries", nargs="+", help="only samplers of these: sssfit, NumPy, SciPy, Numba")
-    parser.add_argument("--csv", type=Path, help="write the table here too")
+    parser.add_argument("--csv", type=Path, help="write the table here in full precision")
     parser.add_argument("--plot", type=Path, help="draw speed against error here")
-    options = parser.parse_args(arguments)
-    contestants = [s for s in samplers.everything() if s.library in (options.libraries or (s.library,))]
-    print(interleaved.machine())
-    per_sample, floor = times(contestants, options.samples, options.repeats)
-    rows = with_fronts(
-        [Row(s.name, s.library, per_sample[s.name], errors(s, options.grid)) for s in contestants]
-    )
-    print(f"{table(rows)}\n\nReading and writing the arrays alone: {floor.median:.2f} ns per sample.")
-    if options.csv:
-        write_csv(rows, options.csv)
-    if options.plot:
-        from front_plot import draw
-
-        draw(rows, floor.median, options.plot)
-    return rows
+    parser.add_argument("--page", type=Path, help="put the table between its marks in this page")
+    return parser
 
 
 def _beats(other: Row, row: Row, error: str) -> bool:

@@ -37,9 +37,18 @@ def test_the_machine_is_described(load):
     assert re.fullmatch(r"others used \d+% of .*|use of .* unknown", interleaved.Neighbours().describe())
 
 
-def test_samplers(load, tmp_path, capsys):
+@pytest.fixture
+def page(tmp_path):
+    """A copy of the page that the scripts write their results to."""
+    copy = tmp_path / "page.md"
+    copy.write_text((BENCHMARKS.parent / "docs" / "benchmarks.md").read_text())
+    return copy
+
+
+def test_samplers(load, tmp_path, page, capsys):
     sizes = ["--samples", "10000", "--repeats", "1", "--grid", "65536"]
     files = ["--csv", str(tmp_path / "methods.csv"), "--plot", str(tmp_path / "front.png")]
+    files += ["--page", str(page)]
     rows = load("inverse_cdf").main([*sizes, *files, "--libraries", "sssfit", "NumPy", "SciPy"])
     errors = {row.name: row.errors for row in rows}
     assert set(methods.METHODS) | {"xie, c = 2.6", "NumPy closed form", "SciPy spline"} <= set(errors)
@@ -50,8 +59,8 @@ def test_samplers(load, tmp_path, capsys):
     # What is left is the coarse grid's: it begins at 0 and ends a step before 1.
     bias = {name: e.weighted_bias_percent for name, e in errors.items()}
     assert bias == pytest.approx(dict.fromkeys(bias, 100 / 65536 / 2 / 0.3125), abs=3e-3)
-    printed = capsys.readouterr().out
-    assert all(f"| {name} |" in printed for name in errors)
+    printed, written = capsys.readouterr().out, page.read_text()
+    assert printed in written and all(f"| {name} |" in printed for name in errors)
     with (tmp_path / "methods.csv").open() as file:
         written = {row["sampler"]: float(row["cdf_max"]) for row in csv.DictReader(file)}
     assert written == pytest.approx({name: e.cdf_max for name, e in errors.items()}, rel=1e-5)
@@ -89,8 +98,9 @@ def test_numba_samplers(load):
         np.testing.assert_allclose(radius, wanted, rtol=0, atol=tolerance, err_msg=sampler.name)
 
 
-def test_fits(load, capsys):
-    results = load("fits").main(["--falloffs", "16", "--loop-falloffs", "4", "--repeats", "1"])
+def test_fits(load, page):
+    sizes = ["--falloffs", "16", "--loop-falloffs", "4", "--repeats", "1"]
+    results = load("fits").main([*sizes, "--page", str(page)])
     assert set(results) == {"as_coded", "radial"}
     for solvers in results.values():
         reference = solvers["fit_many"].parameters
@@ -98,4 +108,5 @@ def test_fits(load, capsys):
         for name, result in solvers.items():
             np.testing.assert_allclose(result.parameters, reference, rtol=5e-5, err_msg=name)
             assert np.all(result.seconds > 0)
-    assert capsys.readouterr().out.count("| SciPy trf, analytic Jacobian |") == 2
+    assert page.read_text().count("| SciPy trf, analytic Jacobian |") == 2
+    assert page.read_text().count(", 16 fits: first call") == 2

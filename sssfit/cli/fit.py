@@ -2,7 +2,8 @@
 
 import argparse
 import dataclasses
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 _C_EXAMPLE = """\
@@ -190,9 +191,13 @@ def _print_solvers(result) -> None:
         print(f"the solvers disagree by at most {result.disagreement:.1e}")
 
 
-def _busy(options: argparse.Namespace, text: str):
-    """A spinner on a terminal while a fit compiles and runs."""
+@contextmanager
+def _busy(options: argparse.Namespace, text: str) -> Iterator[None]:
+    """A spinner on a terminal while a fit compiles and runs, which Ctrl-C must not tear apart."""
     from rich.console import Console
 
-    console = Console(stderr=True, quiet=options.quiet or options.json or not sys.stderr.isatty())
-    return console.status(text)
+    from sssfit.files.atomic import interrupt_deferred
+
+    console = Console(stderr=True, quiet=options.quiet or options.json)
+    with interrupt_deferred(), console.status(text):
+        yield

@@ -24,7 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(arguments)
     except KeyboardInterrupt:
-        print("sssfit: interrupted; earlier outputs are untouched, run again to finish", file=sys.stderr)
+        message = "interrupted; outputs are either as before or complete, run again to finish"
+        print(f"sssfit: {message}", file=sys.stderr)
         return BAD_INPUT
     except BrokenPipeError:
         # The reader of our output has gone; Python would complain again when it flushes at exit.
@@ -34,7 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
-    from sssfit.cli import fit, tables
+    from sssfit.files.atomic import interrupt_deferred
+
+    # Ctrl-C inside the imports of compiled code crashes or is lost.
+    with interrupt_deferred():
+        from sssfit.cli import fit, tables
 
     top = argparse.ArgumentParser(
         prog="sssfit",
@@ -43,8 +48,9 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"sssfit {version('sssfit')}")
     commands = top.add_subparsers(metavar="COMMAND", required=True)
-    fit.add_command(commands)
-    tables.add_command(commands)
+    with interrupt_deferred():
+        fit.add_command(commands)
+        tables.add_command(commands)
     return top
 
 

@@ -34,7 +34,8 @@ def add_command(commands) -> None:
         "materials",
         nargs="?",
         metavar="MATERIALS.csv",
-        help="columns material, unit, and either sigma_s_reduced_{r,g,b}, sigma_a_{r,g,b}, eta, or "
+        help="a CSV file, named before --formats; columns material, unit, and either "
+        "sigma_s_reduced_{r,g,b}, sigma_a_{r,g,b}, eta, or "
         "albedo_{r,g,b}, dmfp_{r,g,b} (default: the shipped measurements)",
     )
     command.add_argument("--out", required=True, metavar="DIR", help="output directory, made if missing")
@@ -51,14 +52,14 @@ def add_command(commands) -> None:
         type=int,
         default=Sizes.line,
         metavar="N",
-        help="entries of 1-D tables, at least 12 (default: %(default)s)",
+        help="entries of 1-D tables, from 12 to 65536 (default: %(default)s)",
     )
     command.add_argument(
         "--size-2d",
         type=int,
         default=Sizes.image,
         metavar="N",
-        help="entries along each side of 2-D tables, at least 2; one more than a multiple of 20 puts the "
+        help="entries along each side of 2-D tables, from 2 to 1024; one more than a multiple of 20 puts the "
         "kinks on entries (default: %(default)s)",
     )
     command.add_argument("--quiet", action="store_true", help="show no progress")
@@ -76,7 +77,9 @@ def run(options: argparse.Namespace) -> int:
     formats = FORMATS if "all" in options.formats else tuple(dict.fromkeys(options.formats))
     columns = (TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     sizes = Sizes(options.size, options.size_2d)
-    visible = sys.stderr.isatty() and not options.quiet
+    visible = sys.stderr is not None and sys.stderr.isatty() and not options.quiet
+    if not options.out:
+        raise ValueError("--out must name a directory; use . for the current one")
     with Progress(*columns, console=Console(file=sys.stderr), disable=not visible) as progress:
         task = progress.add_task("reading", total=None)
 

@@ -92,15 +92,15 @@ def staged_directory(out: str | os.PathLike[str]) -> Iterator[Path]:
         _make_directory(out, created)
         staging = _make_staging(out)
         yield staging
-        with _interrupt_deferred():
+        with interrupt_deferred():
             _publish(staging, out, created)
             shutil.rmtree(staging, ignore_errors=True)
     except BaseException as error:
-        with _interrupt_deferred():
+        with interrupt_deferred():
             if staging is not None:
                 shutil.rmtree(staging, ignore_errors=True)
             _remove_empty(created)
-        if isinstance(error, OSError) and error.errno in DISK_FULL:
+        if isinstance(error, OSError):
             raise _write_failure(out, error, UNTOUCHED) from error
         raise
 
@@ -184,8 +184,16 @@ def _remove_empty(created: list[Path]) -> None:
 
 
 @contextmanager
-def _interrupt_deferred() -> Iterator[None]:
-    """Hold back Ctrl-C until the block is done; only the main thread may, and need, do so."""
+def interrupt_deferred() -> Iterator[None]:
+    """Hold back Ctrl-C until the block is done; only the main thread may, and need, do so.
+
+    For work that must not be left half done, and for calls into compiled code that does not survive an
+    exception in the middle, such as JAX's.
+
+    Example:
+        >>> with interrupt_deferred():
+        ...     total = sum(range(10))
+    """
     earlier = signal.getsignal(signal.SIGINT)
     if earlier is None or threading.current_thread() is not threading.main_thread():
         yield

@@ -45,13 +45,13 @@ class Domain(NamedTuple):
         """Distances in units of phi and their weights, shape (num_points,) each.
 
         Raises:
-            ValueError: the interval is empty or negative, there are fewer than 8 points, or the spacing
+            ValueError: the interval is empty or negative, num_points is not from 8 to 65536, or the spacing
                 is unknown.
         """
         if not 0 <= self.lower < self.upper < np.inf:
             raise ValueError(f"domain must have 0 <= lower < upper, got [{self.lower}, {self.upper}]")
-        if self.num_points < 8:
-            raise ValueError(f"num_points must be at least 8, got {self.num_points}")
+        if not 8 <= self.num_points <= 65536:
+            raise ValueError(f"num_points must be from 8 to 65536, got {self.num_points}")
         width = self.upper - self.lower
         if self.spacing == "gauss":
             unit, weights = quadrature.gauss_legendre(np.array([0.0, 1.0]), self.num_points)

@@ -143,6 +143,8 @@ def fit(
         problem = _falloff_curves.problem(
             jnp.asarray(phi), jnp.asarray(nodes), jnp.asarray(node_weights), objective, reading, normalize
         )
+        if not 0 < np.linalg.norm(problem.wanted) < np.inf:
+            raise ValueError("domain must reach where the falloff profile is above 0, below 30 or so")
         start = np.asarray(_falloff_curves.start(residuals, problem, lower[0], upper[0]))
         solutions = tuple(
             solve.least_squares(residuals, problem, start, lower, upper, name)
@@ -208,6 +210,8 @@ def fit_many(
         (array([0.2691, 0.3317, 0.895 ]), True)
     """
     falloffs = np.asarray(falloffs, np.float64)
+    if falloffs.ndim != 1 or falloffs.size == 0:
+        raise ValueError(f"falloffs must be a list of at least one number, got shape {falloffs.shape}")
     for falloff in falloffs:
         _check(float(falloff), objective, reading, albedo_bounds)
     nodes, node_weights = (domain or DEFAULT_DOMAINS[objective]).nodes()
@@ -259,14 +263,15 @@ def _estimates(
 ) -> dict:
     """Values and intervals of what the data determine, NaN and a reason for the rest."""
     albedo, d = (float(p) for p in parameters)
-    if low:
+    if low and bounds[0] == 0:
         reason = f"the {objective} objective drives the albedo to its lower bound, where it does not fit"
         nothing = (np.nan, np.nan)
         return {"albedo": np.nan, "d": np.nan, "dmfp": np.nan, "reason": reason} | dict.fromkeys(
             ("albedo_interval", "d_interval", "dmfp_interval"), nothing
         )
-    known = np.concatenate([[True], analysis.determined]) if high else analysis.determined
-    factor = np.concatenate([[1.0], analysis.factor]) if high else analysis.factor
+    held = low or high
+    known = np.concatenate([[True], analysis.determined]) if held else analysis.determined
+    factor = np.concatenate([[1.0], analysis.factor]) if held else analysis.factor
     dmfp, dmfp_factor, reason = np.nan, np.nan, ""
     if not known.all():
         names = [name for name, ok in zip(("albedo", "d"), known, strict=True) if not ok]
@@ -274,7 +279,7 @@ def _estimates(
     elif albedo > 1:
         reason = f"the fitted albedo {albedo:.4g} is above 1, where no diffuse mean free path is defined"
     else:
-        dmfp, dmfp_factor = _dmfp(albedo, d, analysis, high)
+        dmfp, dmfp_factor = _dmfp(albedo, d, analysis, held)
     return {
         "albedo": albedo if known[0] else np.nan,
         "d": d if known[1] else np.nan,
@@ -311,7 +316,7 @@ def _disagreement(solutions: Sequence[Solution], known: np.ndarray) -> float:
 
 def _extra(weights, nodes: np.ndarray) -> np.ndarray:
     extra = np.ones_like(nodes) if weights is None else np.asarray(weights, np.float64)
-    if extra.shape != nodes.shape or not np.all(extra >= 0) or not np.any(extra > 0):
+    if extra.shape != nodes.shape or not np.all((extra >= 0) & np.isfinite(extra)) or not np.any(extra > 0):
         raise ValueError(f"weights must be {nodes.size} numbers >= 0, not all 0, got shape {extra.shape}")
     return extra
 

@@ -9,6 +9,9 @@ from jax.typing import ArrayLike
 
 from sssfit.profiles._elementwise import broadcast
 
+#: Refractive indices for which the polynomial fit of the Fresnel reflectance stays in [0, 1).
+ETA_RANGE = (0.3, 3.5)
+
 
 def fresnel_diffuse_reflectance(eta: ArrayLike) -> Array:
     """Diffuse Fresnel reflectance inside a medium, by the published polynomial fits.
@@ -41,7 +44,7 @@ def diffuse_reflectance(sigma_s_reduced: ArrayLike, sigma_a: ArrayLike, eta: Arr
     Args:
         sigma_s_reduced: reduced scattering coefficient, 1/mm, >= 0.
         sigma_a: absorption coefficient, 1/mm, >= 0. At 0 the reflectance is 1.
-        eta: relative refractive index, > 0.
+        eta: relative refractive index, in `ETA_RANGE`; NaN outside.
 
     Returns:
         Albedo in [0, 1], dimensionless: a' / 2 (1 + exp(-4/3 A s)) exp(-s), where a' is the reduced
@@ -66,4 +69,5 @@ def diffuse_reflectance(sigma_s_reduced: ArrayLike, sigma_a: ArrayLike, eta: Arr
     depth = jnp.sqrt(3 / total) * jnp.sqrt(absorption)
     reflectance = sigma_s_reduced / total / 2 * (1 + jnp.exp(-4 / 3 * boundary * depth)) * jnp.exp(-depth)
     reflectance = jnp.where(present, reflectance, 0)
-    return jnp.where((sigma_s_reduced >= 0) & (sigma_a >= 0), reflectance, jnp.nan).astype(dtype)
+    valid = (sigma_s_reduced >= 0) & (sigma_a >= 0) & (eta >= ETA_RANGE[0]) & (eta <= ETA_RANGE[1])
+    return jnp.where(valid, reflectance, jnp.nan).astype(dtype)

@@ -24,6 +24,7 @@ from sssfit.profiles import burley, dipole
 CHANNELS = ("r", "g", "b")
 
 _MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_LENGTHS = (1e-9, 1e9)
 _MEASURED = [f"{name}_{c}" for name in ("sigma_s_reduced", "sigma_a") for c in CHANNELS] + ["eta"]
 _ARTIST = [f"{name}_{c}" for name in ("albedo", "dmfp") for c in CHANNELS]
 
@@ -35,7 +36,7 @@ class Material:
     Attributes:
         name: as in the file.
         albedo: diffuse reflectance, shape (3,).
-        dmfp: diffuse mean free path, mm, shape (3,); inf where nothing absorbs, 0 for no scattering.
+        dmfp: diffuse mean free path, mm, shape (3,); inf where nothing absorbs, 0 for the delta.
         d: shape parameter, mm, shape (3,); dmfp / scaling(albedo, "dmfp").
 
     Example:
@@ -76,7 +77,8 @@ def load(path: str | Path) -> dict[str, Material]:
     Raises:
         FileError: names file, row and remedy for a missing or repeated column, an unknown unit, text
             where a number belongs, a negative coefficient or path, an albedo outside [0, 1], a
-            refractive index not above 0, or a name that is missing, repeated or unfit for a folder.
+            refractive index outside [0.3, 3.5], a path that is neither 0 nor from 1e-9 to 1e9 mm, or a
+            name that is missing, repeated or unfit for a folder.
 
     Source: dmfp from Xie 2021, Eq 2.45-2.47; albedo from the dipole, Jensen et al. 2001, section 2.4;
     d from Christensen and Burley 2015, Eq 8.
@@ -114,6 +116,7 @@ def parse(data: bytes, file: str) -> dict[str, Material]:
     for row in rows:
         name = _name(row, materials)
         albedo, dmfp = derive(row)
+        _check_lengths(row, dmfp)
         with jax.enable_x64(True):
             d = np.asarray(burley.shape_from_dmfp(dmfp, albedo))
         materials[name] = Material(name, albedo, dmfp, d)
@@ -122,11 +125,11 @@ def parse(data: bytes, file: str) -> dict[str, Material]:
 
 def _name(row: Row, earlier: dict[str, Material]) -> str:
     name = row.cells["material"]
-    if not re.fullmatch(r"[a-zA-Z0-9][\w .-]*", name, re.ASCII) or name.endswith("."):
-        problem = f"the material name {name!r} cannot name a folder"
-        raise row.fault(
-            problem, "use letters a to z, digits, spaces, '.', '_' and '-', a letter or digit first"
-        )
+    # A folder, and part of a variable's name in shader text.
+    if not re.fullmatch(r"[a-zA-Z]([\w -]{0,62}[a-zA-Z0-9])?", name, re.ASCII):
+        problem = f"the material name {name!r} cannot name a folder and a variable"
+        remedy = "use up to 64 letters a to z, digits, spaces, '_' and '-', beginning with a letter"
+        raise row.fault(problem, f"{remedy} and ending with a letter or digit")
     # Neither file systems nor shader text tell all names apart: "Wax 1" and "wax_1" are one.
     if _key(name) in map(_key, earlier):
         raise row.fault(f"the material {name!r} stands there twice", "give each row its own name")
@@ -134,7 +137,7 @@ def _name(row: Row, earlier: dict[str, Material]) -> str:
 
 
 def _key(name: str) -> str:
-    return re.sub(r"[ ._-]+", "_", name).lower()
+    return re.sub(r"[ _-]+", "_", name).lower()
 
 
 def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:
@@ -143,8 +146,10 @@ def _measured(row: Row) -> tuple[np.ndarray, np.ndarray]:
     sigma_s_reduced = _channels(row, "sigma_s_reduced", "a coefficient") * per_millimetre
     sigma_a = _channels(row, "sigma_a", "a coefficient") * per_millimetre
     eta = row.number("eta")
-    if eta <= 0:
-        raise row.fault(f"the refractive index eta is {eta:g}", "write a number above 0, such as 1.3")
+    low, high = dipole.ETA_RANGE
+    if not low <= eta <= high:
+        remedy = f"write a number from {low:g} to {high:g}, such as 1.3"
+        raise row.fault(f"the refractive index eta is {eta:g}", remedy)
     with jax.enable_x64(True):
         albedo = dipole.diffuse_reflectance(sigma_s_reduced, sigma_a, eta)
         dmfp = burley.dmfp_from_coefficients(sigma_s_reduced, sigma_a)
@@ -160,6 +165,14 @@ def _artist(row: Row) -> tuple[np.ndarray, np.ndarray]:
     return albedo, _channels(row, "dmfp", "a path length") * millimetres
 
 
+def _check_lengths(row: Row, dmfp: np.ndarray) -> None:
+    """Refuse paths that no float32 table holds; infinite ones are a medium without absorption."""
+    for channel, value in zip(CHANNELS, dmfp, strict=True):
+        if not (value in (0, np.inf) or _LENGTHS[0] <= value <= _LENGTHS[1]):
+            problem = f"the diffuse mean free path of channel {channel} is {value:g} mm"
+            raise row.fault(problem, f"it must be 0 or from {_LENGTHS[0]:g} to {_LENGTHS[1]:g} mm")
+
+
 def _unit(row: Row, known: dict[str, float]) -> float:
     unit = row.cells["unit"]
     if unit not in known:
@@ -172,4 +185,6 @@ def _channels(row: Row, name: str, what: str) -> np.ndarray:
     for channel, value in zip(CHANNELS, values, strict=True):
         if value < 0:
             raise row.fault(f"{name}_{channel} is {value:g}", f"{what} cannot be negative")
+        if value > 1e12:
+            raise row.fault(f"{name}_{channel} is {value:g}", f"{what} cannot be that large")
     return values

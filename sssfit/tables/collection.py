@@ -18,8 +18,8 @@ class Sizes:
     """How many entries the tables have.
 
     Attributes:
-        line: entries of a 1-D table, >= 12.
-        image: entries along each side of a 2-D table, >= 2. With one more than a multiple of 20 the
+        line: entries of a 1-D table, from 12 to 65536.
+        image: entries along each side of a 2-D table, from 2 to 1024. With one more than a multiple of 20 the
             kinks of the unscattered curves, at N.L = 0 and at the shadow ramp's corners, lie on
             entries, which cuts the error of lookup several times.
 
@@ -33,10 +33,10 @@ class Sizes:
 
     def __post_init__(self):
         """Refuse sizes that no table can have."""
-        if self.line < 12:
-            raise ValueError(f"size must be at least 12, got {self.line}")
-        if self.image < 2:
-            raise ValueError(f"size-2d must be at least 2, got {self.image}")
+        if not 12 <= self.line <= 65536:
+            raise ValueError(f"size must be from 12 to 65536, got {self.line}")
+        if not 2 <= self.image <= 1024:
+            raise ValueError(f"size-2d must be from 2 to 1024, got {self.image}")
 
 
 @dataclass(frozen=True)

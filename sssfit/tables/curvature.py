@@ -129,7 +129,8 @@ def evaluate(
     relative = np.multiply.outer(curvatures, shape).ravel()
     angles, mass = _kernel(_panel_edges(cosines), relative, distance, average)
     light = _mean_clamped_cosine(cosines[:, None], angles, average)
-    values = (light @ mass) / np.sum(mass, axis=0)
+    # Not a matrix product, whose last digits depend on the number of threads.
+    values = np.einsum("in,nk->ik", light, mass) / np.sum(mass, axis=0)
     return np.moveaxis(values.reshape(len(cosines), len(curvatures), 3), 0, 1)
 
 

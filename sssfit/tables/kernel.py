@@ -5,12 +5,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfc
 
-from sssfit.profiles import gaussian_sum, separable
+from sssfit.profiles import burley, gaussian_sum, separable
 from sssfit.tables import _arguments
 from sssfit.tables.table import Axis, Table
 
-# In shapes: the distance that 99.7 % of the light stays within (burley.ppf(0.997, 1)).
-_REACH = 16.564398753373407
+# Share of the widest channel's light that stays within the kernel's reach.
+_WITHIN = 0.997
 
 
 def burley_kernel_table(d: ArrayLike, num_taps: int = 25, reach: float | None = None) -> Table:
@@ -42,7 +42,9 @@ def burley_kernel_table(d: ArrayLike, num_taps: int = 25, reach: float | None = 
                [0.024, 0.005, 0.   ]])
     """
     shape = _arguments.channels("d", d)
-    last = (_REACH * np.max(shape) or 1.0) if reach is None else reach
+    with jax.enable_x64(True):
+        widest = float(burley.ppf(_WITHIN, np.max(shape)))
+    last = (widest or 1.0) if reach is None else reach
     offsets = separable.kernel_offsets(num_taps, last)
     with jax.enable_x64(True):
         weights = np.asarray(jax.jit(separable.burley_kernel)(offsets, shape))

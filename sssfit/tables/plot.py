@@ -117,5 +117,6 @@ def _draw_materials(figure, table: Table) -> None:
         panel.set(title=column.replace("_mm", " [mm]"))
         panel.locator_params(axis="x", nbins=4)
         panel.grid(alpha=0.3)
-    panels[0].set_yticks(np.arange(len(names)), names, fontsize=9)
+    every = -(-len(names) // 24)  # more names than that overlap
+    panels[0].set_yticks(np.arange(len(names))[::every], names[::every], fontsize=9)
     panels[0].invert_yaxis()

@@ -1,6 +1,7 @@
 """Tables from files, only when the file holds what was written."""
 
 import os
+import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,8 @@ import numpy as np
 
 from sssfit.files.errors import FileError
 from sssfit.tables.formats import DECODERS
-from sssfit.tables.formats.encoded import restore
-from sssfit.tables.formats.metadata import check_content
+from sssfit.tables.formats.encoded import Stored, restore
+from sssfit.tables.formats.metadata import check_content, refusal
 from sssfit.tables.table import Axis, Table
 
 
@@ -63,9 +64,17 @@ def load(path: str | os.PathLike[str]) -> LoadedTable:
     if decode is None:
         problem = f"suffix {path.suffix!r} is not one of a table"
         raise FileError(path, "", problem, f"use a file with one of {', '.join(DECODERS)}")
-    stored = decode(path)
+    try:
+        stored = decode(path)
+        check_content(path, stored.metadata, stored.values)
+        return _table(stored)
+    except (LookupError, TypeError, ValueError, OverflowError, struct.error) as error:
+        # Damage takes more forms than checks foresee; whatever it breaks, the file is not a table.
+        raise refusal(path, f"the content makes no sense ({error})") from error
+
+
+def _table(stored: Stored) -> LoadedTable:
     metadata = stored.metadata
-    check_content(path, metadata, stored.values)
     axes = tuple(
         Axis(axis["name"], axis["unit"], np.asarray(axis["values"], dtype=np.float64))
         for axis in metadata["axes"]

@@ -8,8 +8,8 @@ from sssfit.profiles import burley
 from sssfit.tables import _arguments
 from sssfit.tables.table import Axis, Table
 
-# In shapes: the thickness that passes 1/1024, one step of a 10-bit display (burley.isf(2**-10, 1)).
-_FAINTEST = 19.93137089486163
+# One step of a 10-bit display: what the last thickness passes in the widest channel.
+_FAINTEST = 2.0**-10
 
 
 def transmittance(
@@ -41,7 +41,9 @@ def transmittance(
         array([0.8, 0.6, 0.4])
     """
     shape, reflectance = _arguments.channels("d", d), _arguments.channels("albedo", albedo, 1.0)
-    last = (_FAINTEST * np.max(shape) or 1.0) if max_thickness is None else max_thickness
+    with jax.enable_x64(True):
+        reach = float(burley.isf(_FAINTEST, np.max(shape)))
+    last = (reach or 1.0) if max_thickness is None else max_thickness
     last = _arguments.positive("max_thickness", last, "mm")
     thickness = _arguments.uniform("num_entries", num_entries, 0.0, last)
     return Table(

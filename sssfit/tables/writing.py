@@ -6,7 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sssfit.files.atomic import staged_directory
+from sssfit.files.atomic import interrupt_deferred, staged_directory
 from sssfit.files.json_text import json_text, sha256_bytes
 from sssfit.files.reading import read_bytes
 from sssfit.profiles import materials
@@ -32,9 +32,9 @@ def write(
 
     Everything appears in `out` at the end, together: one folder per material, the universal tables beside
     them, a plot per table, report.html, manifest.json, and timing.json. On a failure or Ctrl-C nothing of
-    it appears and what was there stays. The same input and options give the same bytes, apart from
-    timing.json. Files of an earlier run that this one does not write stay too; the manifest lists only
-    what this run wrote.
+    it appears and what was there stays. The same input and options give the same bytes on the same kind of
+    machine with the same library versions, apart from timing.json. Files of an earlier run that this one
+    does not write stay too; the manifest lists only what this run wrote.
 
     Args:
         out: output directory, made if missing.
@@ -80,8 +80,9 @@ def write(
         for done, (title, compute) in enumerate(work):
             progress(title, done, len(work))
             start = time.perf_counter()
-            entry = compute()
-            plots[entry.path] = plot(entry.table)
+            with interrupt_deferred():
+                entry = compute()
+                plots[entry.path] = plot(entry.table)
             described = _write_entry(staging, entry, formats, plots[entry.path], manifest)
             manifest["tables"].append(described)
             seconds[title] = time.perf_counter() - start

@@ -49,7 +49,7 @@ def test_separable_options_reach_the_fit(capsys):
     [
         (["fit", "separable", "--falloff", "0"], "sssfit: falloff must be in (0, 1], got 0.0"),
         (["fit", "separable", "--domain", "3", "1"], "sssfit: domain must have 0 <= lower < upper"),
-        (["fit", "separable", "--points", "0"], "sssfit: num_points must be at least 8, got 0"),
+        (["fit", "separable", "--points", "0"], "sssfit: num_points must be from 8 to 65536, got 0"),
     ],
 )
 def test_bad_values_are_one_sentence_and_exit_code_2(arguments, message, capsys):

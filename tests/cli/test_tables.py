@@ -73,6 +73,11 @@ BAD_FILES = {
     "unit": (HEADER + "Wax,inch,0.8,0.6,0.4,2.5,1.5,0\n", "row 2: the unit 'inch' is not known"),
     "text": (HEADER + "Wax,mm,0.8,0.6,0.4,2.5,wide,0\n", "row 2: column 'dmfp_g' has 'wide'"),
     "empty": ("", "the file is empty"),
+    "file name": (
+        HEADER + "report.html,mm,0.8,0.6,0.4,2.5,1.5,0\n",
+        "row 2: the material name 'report.html'",
+    ),
+    "too long": (HEADER + "Wax,mm,0.8,0.6,0.4,2.5,1e11,0\n", "mean free path of channel g is 1e+11 mm"),
     "albedo": (HEADER + "A,mm,0,0,0,1,1,1\nWax,mm,1.2,0.6,0.4,2.5,1,0\n", "row 3: albedo_r is 1.2"),
 }
 
@@ -94,8 +99,9 @@ def test_bad_input_is_one_sentence_and_loses_nothing(case, tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["--size", "0"], "size must be at least 12, got 0"),
-        (["--size-2d", "1"], "size-2d must be at least 2, got 1"),
+        (["--size", "0"], "size must be from 12 to 65536, got 0"),
+        (["--size", "1000000000"], "size must be from 12 to 65536, got 1000000000"),
+        (["--size-2d", "1"], "size-2d must be from 2 to 1024, got 1"),
     ],
 )
 def test_bad_sizes(arguments, message, tmp_path, capsys):
@@ -163,23 +169,32 @@ def test_interrupting_leaves_earlier_outputs(moment, wax, earlier, monkeypatch, 
     capsys.readouterr()
     assert main(["tables", str(wax), "--out", str(out), *SMALL]) == 2
     assert capsys.readouterr().err == (
-        "sssfit: interrupted; earlier outputs are untouched, run again to finish\n"
+        "sssfit: interrupted; outputs are either as before or complete, run again to finish\n"
     )
     assert contents(out) == before
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are sent the POSIX way")
-def test_a_real_interrupt_of_a_real_process(wax, tmp_path):
+@pytest.mark.parametrize("delay", [0.3, 0.8, 1.5, 2.5, None])
+def test_a_real_interrupt_of_a_real_process(delay, wax, tmp_path):
+    """At any moment: in the imports, in compiled code, and (None) as soon as the output is staged."""
     out = tmp_path / "out"
     command = [sys.executable, "-m", "sssfit.cli", "tables", str(wax), "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not out.exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert out.exists(), "the run never began to write"
+    if delay is None:
+        deadline = time.monotonic() + 60
+        while not out.exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert out.exists(), "the run never began to write"
+    else:
+        time.sleep(delay)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert error.strip().endswith("sssfit: interrupted; earlier outputs are untouched, run again to finish")
-    assert "Traceback" not in error
+    assert process.returncode == 2, error
+    assert error == "sssfit: interrupted; outputs are either as before or complete, run again to finish\n"
     assert not out.exists()
+
+
+def test_an_empty_output_name(wax, capsys):
+    assert main(["tables", str(wax), "--out", ""]) == 2
+    assert capsys.readouterr().err == "sssfit: --out must name a directory; use . for the current one\n"

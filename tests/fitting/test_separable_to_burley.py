@@ -165,6 +165,19 @@ def test_relative_residual_is_that_of_the_curves():
     assert result.relative_residual == pytest.approx(0.3039658, abs=1e-6)
 
 
+def test_a_lower_bound_of_ones_own_is_a_bound_like_the_upper_one():
+    result = fit(0.37, albedo_bounds=(0.2, 1.0))
+    albedo, d, dmfp, _ = fit_many(np.array([0.37]), albedo_bounds=(0.2, 1.0))
+    assert result.at_bound and result.reason == ""
+    assert (result.albedo, result.d, result.dmfp) == pytest.approx((albedo[0], d[0], dmfp[0]), rel=1e-6)
+    assert result.albedo == pytest.approx(0.2, abs=1e-9)
+
+
+def test_no_falloffs():
+    with pytest.raises(ValueError, match="falloffs must be a list of at least one number"):
+        fit_many(np.array([]))
+
+
 def test_weights_pick_the_part_that_matters():
     domain = Domain(0.0, 20.0, 128)
     nodes, _ = domain.nodes()
@@ -189,10 +202,12 @@ def test_result_ignores_the_precision_flag():
         ({"albedo_bounds": (1.0, 0.0)}, "albedo_bounds must be 0 <= low < high"),
         ({"solver": "newton"}, "solver must be one of"),
         ({"domain": Domain(3.0, 1.0)}, "domain must have 0 <= lower < upper"),
-        ({"domain": Domain(num_points=0)}, "num_points must be at least 8, got 0"),
+        ({"domain": Domain(num_points=0)}, "num_points must be from 8 to 65536, got 0"),
         ({"domain": Domain(spacing="log")}, "spacing must be 'gauss' or 'uniform', got 'log'"),  # type: ignore
         ({"weights": [1.0, 2.0]}, "weights must be 64 numbers"),
         ({"weights": np.zeros(64)}, "weights must be 64 numbers"),
+        ({"weights": np.full(64, np.inf)}, "weights must be 64 numbers"),
+        ({"domain": Domain(200.0, 300.0)}, "domain must reach where the falloff profile is above 0"),
     ],
 )
 def test_bad_arguments(arguments, message):

@@ -46,6 +46,8 @@ MISPRINTED = {
 # Their relative deviation from the truth, in percent.
 DEVIATION = (10.1, 2.5, 0.87, 0.99, 4.5, 0.64, -35.8, -45.1, 1.07)
 
+ETA_REMEDY = "write a number from 0.3 to 3.5, such as 1.3"
+
 
 @pytest.fixture(scope="module")
 def shipped():
@@ -218,8 +220,14 @@ def test_each_artist_column_is_needed(refusal, column):
         ("W,mm,1,1,1,1,1,1,1.3", "the unit 'mm' is not known; use one of 1/mm, 1/cm, 1/m"),
         ("W,,1,1,1,1,1,1,1.3", "the unit '' is not known; use one of 1/mm, 1/cm, 1/m"),
         ("W,1/MM,1,1,1,1,1,1,1.3", "the unit '1/MM' is not known; use one of 1/mm, 1/cm, 1/m"),
-        ("W,1/mm,1,1,1,1,1,1,0", "the refractive index eta is 0; write a number above 0, such as 1.3"),
-        ("W,1/mm,1,1,1,1,1,1,-1.3", "the refractive index eta is -1.3; write a number above 0, such as 1.3"),
+        (
+            "W,1/mm,1,1,1,1,1,1,0",
+            "the refractive index eta is 0; write a number from 0.3 to 3.5, such as 1.3",
+        ),
+        (
+            "W,1/mm,1,1,1,1,1,1,-1.3",
+            "the refractive index eta is -1.3; write a number from 0.3 to 3.5, such as 1.3",
+        ),
         ("W,1/mm,1,1,1,1,1,1,", "column 'eta' has '' where a number belongs; write a number"),
     ],
 )
@@ -252,13 +260,28 @@ def test_bad_artist_rows(refusal, row, message):
 
 
 @pytest.mark.parametrize(
-    "name", ["", "../secret", "a/b", "a\\b", ".hidden", "con:", "Wax.", "-wax", "_wax", "Käse", "wa\0x"]
+    "name",
+    [
+        "",
+        "../secret",
+        "a/b",
+        "a\\b",
+        ".hidden",
+        "con:",
+        "Wax.",
+        "-wax",
+        "_wax",
+        "Käse",
+        "wa\0x",
+        "2Wax",
+        "a" * 65,
+    ],
 )
 def test_names_must_be_fit_for_a_folder(refusal, name):
     message = refusal(ARTIST, f"{name},mm,1,1,1,1,1,1")
     assert message == (
-        f"row 2: the material name {name!r} cannot name a folder; "
-        "use letters a to z, digits, spaces, '.', '_' and '-', a letter or digit first"
+        f"row 2: the material name {name!r} cannot name a folder and a variable; use up to 64 letters "
+        "a to z, digits, spaces, '_' and '-', beginning with a letter and ending with a letter or digit"
     )
 
 

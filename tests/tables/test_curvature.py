@@ -1,4 +1,7 @@
 import json
+import os
+import subprocess
+import sys
 
 import jax
 import numpy as np
@@ -218,3 +221,21 @@ def test_coordinates_outside_the_domain():
         curvature.evaluate([0.0], [0.0, 1.5], SKIN)
     with pytest.raises(ValueError, match="curvatures must be at least 0 and finite, got -1"):
         curvature.evaluate([-1.0], [0.0], SKIN)
+
+
+def test_bytes_do_not_depend_on_the_number_of_threads():
+    code = (
+        "import hashlib; from sssfit.tables import curvature; "
+        "print(hashlib.sha256(curvature.curvature([2.0, 1.2, 0.7]).values.tobytes()).hexdigest())"
+    )
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"OPENBLAS_NUM_THREADS": threads},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for threads in ("1", "2")
+    }
+    assert len(digests) == 1
