@@ -14,7 +14,7 @@ _HELP = """\
 Write lookup tables for the materials of a CSV file: the inverse cdf, the separable falloff fitted to Burley's
 parameters, and for each material transmittance, pre-integrated skin lighting, its shadow companion and a
 separable kernel; with a plot of each, report.html and manifest.json. Without a file the shipped measurements
-are used. The same input and options give the same bytes, except timing.json.
+are used. The same input and options give the same bytes on the same kind of machine, except timing.json.
 """
 
 

@@ -138,7 +138,8 @@ def burley_kernel(offsets: ArrayLike, d: ArrayLike) -> Array:
 
     Args:
         offsets: ascending tap positions, mm, shape (n,).
-        d: shape parameter, mm, >= 0, shape (...): one kernel each, all channels at once.
+        d: shape parameter, mm, >= 0, shape (...): one kernel each, all channels at once. Far beyond the
+            reach (1e5 times in float32) the cells' masses are lost to rounding.
 
     Returns:
         Weights of shape (n, ...) that sum to 1 over the taps. For d = 0 the tap at 0 has all of it.
