@@ -1,8 +1,8 @@
 """sssfit: statistical estimators and parameter fits for subsurface scattering.
 
 Topics are sub-packages with one path to each name: `sssfit.profiles.burley.ppf`,
-`sssfit.sampling.inverse_cdf.exact`, `sssfit.fitting.inverse_cdf.fit_c`, `sssfit.tables.load`.
-Lengths are in millimetres.
+`sssfit.sampling.inverse_cdf.exact`, `sssfit.estimators.moving.emv`, `sssfit.fitting.inverse_cdf.fit_c`,
+`sssfit.tables.load`. Lengths are in millimetres.
 """
 
 import importlib
@@ -10,6 +10,7 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sssfit import estimators as estimators
     from sssfit import files as files
     from sssfit import fitting as fitting
     from sssfit import profiles as profiles
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 __version__ = _version("sssfit")
 
-_TOPICS = ("files", "fitting", "profiles", "sampling", "tables")
+_TOPICS = ("estimators", "files", "fitting", "profiles", "sampling", "tables")
 
 
 def __getattr__(name: str):

@@ -52,6 +52,13 @@ def test_topics_load_jax_and_no_solver(topic):
     assert flags["jax_enable_x64"] is False
 
 
+def test_estimators_load_modules_and_no_solver():
+    modules, flags = loaded_by("sssfit.estimators")
+    assert "equinox" in modules
+    assert modules.isdisjoint(["optimistix", "jaxopt", "scipy.optimize", "lineax", *IMAGES, *PLOTS])
+    assert flags == loaded_by("jax")[1]
+
+
 def test_tables_load_neither_solvers_nor_plots():
     modules, _ = loaded_by("sssfit.tables")
     assert modules.isdisjoint([*SOLVERS, *PLOTS])

@@ -12,9 +12,10 @@ ALLOWED = {
     "files": set(),
     "profiles": {"files"},
     "sampling": {"profiles"},
+    "estimators": {"profiles"},
     "fitting": {"files", "profiles", "sampling"},
     "tables": {"files", "profiles", "sampling", "fitting"},
-    "cli": {"files", "profiles", "sampling", "fitting", "tables"},
+    "cli": {"files", "profiles", "sampling", "estimators", "fitting", "tables"},
 }
 SOLVERS = ("optimistix", "jaxopt", "scipy.optimize")
 # The one file that may import solvers.

@@ -1,0 +1,105 @@
+"""One step of the exponentially weighted recursions, on plain arrays of one shape.
+
+All of them are written as an old value plus an increment: the weight of the newest sample multiplies what
+has changed, so that a small weight keeps its digits (1 - alpha does not) and an unchanged input changes
+nothing. Numbers are computed in float32 at least, whatever they are stored in.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+
+def computing_dtype(stored) -> jnp.dtype:
+    """What values stored in a dtype are computed in: float32 for the half formats."""
+    return jnp.promote_types(stored, jnp.float32)
+
+
+def check_alpha(alpha: ArrayLike) -> None:
+    """Raise where a weight known on the host is outside (0, 1]; traced and device values pass."""
+    if isinstance(alpha, int | float | np.ndarray | np.generic):
+        values = np.asarray(alpha, np.float64)
+        if not bool(np.all((values > 0) & (values <= 1))):
+            worst = values.flat[int(np.argmin((values > 0) & (values <= 1)))]
+            raise ValueError(
+                f"alpha must be in (0, 1], got {worst:g}; it is the weight of the newest sample, "
+                "1 minus what other conventions call decay"
+            )
+
+
+def toward(old: Array, increment: Array, low: Array | None = None) -> tuple[Array, Array | None]:
+    """old + increment; with the low part of a compensated sum, both parts of the new one."""
+    if low is None:
+        return old + increment, None
+    increment = increment + low
+    total = old + increment
+    # Knuth's two-sum: what rounding `total` lost, exactly.
+    virtual = total - old
+    return total, (old - (total - virtual)) + (increment - virtual)
+
+
+def mean_step(mean: Array, delta: Array, x: Array, alpha: Array, low: Array | None = None):
+    """The moving average after x, delta = x - mean; exactly x where alpha is 1."""
+    new, new_low = toward(mean, alpha * delta, low)
+    new = jnp.where(alpha == 1, x, new)
+    return new, None if new_low is None else jnp.where(alpha == 1, 0, new_low)
+
+
+def covariance_step(
+    covariance: Array,
+    delta_x: Array,
+    delta_y: Array,
+    alpha: Array,
+    *,
+    lagged: bool,
+    low: Array | None = None,
+):
+    """(1 - alpha) (c + alpha dx dy), or (1 - alpha) c + alpha dx dy for the lagged (EWMA) form.
+
+    Deltas are to the mean before this sample. An infinite c stays so, whatever finite comes.
+    """
+    product = delta_x * delta_y
+    arriving = product if lagged else (1 - alpha) * product
+    held = covariance if low is None else covariance + low
+    new, new_low = toward(covariance, alpha * (arriving - held), low)
+    # inf - inf would be NaN; with alpha = 1, 0 * inf.
+    new = jnp.where(jnp.isinf(covariance), covariance + product, new)
+    forgotten = product if lagged else jnp.where(jnp.isnan(product), product, 0)
+    new = jnp.where(alpha == 1, forgotten, new)
+    if new_low is None:
+        return new, None
+    return new, jnp.where((alpha == 1) | jnp.isinf(new), 0, new_low)
+
+
+def debias_step(debias: Array, alpha: Array, low: Array | None = None):
+    """1 - sum of the squared weights, after one more sample: no difference of near numbers in it."""
+    held = debias if low is None else debias + low
+    return toward(debias, alpha * (2 * (1 - alpha) - (2 - alpha) * held), low)
+
+
+def store(values: Sequence[tuple[Array, Array | None]], dtype) -> tuple[Array, ...]:
+    """Values, the first of each pair, rounded to the dtype that they are kept in."""
+    return tuple(value.astype(dtype) for value, _ in values)
+
+
+def store_low(values: Sequence[tuple[Array, Array | None]], dtype) -> tuple[Array, ...]:
+    """What `store` rounds off, with the low part of each pair."""
+    rests = (
+        (value - value.astype(dtype).astype(value.dtype)) + low for value, low in values if low is not None
+    )
+    return tuple(jnp.where(jnp.isfinite(rest), rest, 0).astype(dtype) for rest in rests)
+
+
+def saturate(value: Array, dtype) -> Array:
+    """The value, or the largest finite number of the dtype with its sign; NaN stays."""
+    largest = float(jnp.finfo(dtype).max)
+    return jnp.clip(value, -largest, largest)
+
+
+def choose(keep_new: Array, new, old):
+    """new where the condition holds, else old, for every array of two equal pytrees."""
+    return jax.tree.map(lambda a, b: jnp.where(keep_new, a, b), new, old)
