@@ -13,7 +13,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `sssfit` with these arguments (those of the process by default).
 
     Returns:
-        The exit code: 0, 1 for a fit that did not converge, 2 for bad input or an interruption.
+        The exit code: 0, 1 for a fit that did not converge or a bound that failed, 2 for bad input or an
+        interruption.
 
     Example:
         >>> main(["fit", "c", "--objective", "mean_radius", "--quiet"])
@@ -39,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
 
     # Ctrl-C inside the imports of compiled code crashes or is lost.
     with interrupt_deferred():
-        from sssfit.cli import fit, tables
+        from sssfit.cli import fit, reproduce, tables
 
     top = argparse.ArgumentParser(
         prog="sssfit",
@@ -51,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
     with interrupt_deferred():
         fit.add_command(commands)
         tables.add_command(commands)
+        reproduce.add_command(commands)
     return top
 
 

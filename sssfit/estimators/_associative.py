@@ -5,6 +5,9 @@ and its mean; two stretches join into one. The deviations from those means then 
 recurrence. Means join by a step from one toward the other, which leaves a constant stream exactly as it is.
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -12,6 +15,8 @@ from sssfit.estimators._products import Statistic, product_pairs
 from sssfit.estimators._recursion import saturate
 
 
+# Op by op, the log2(T) levels would each compile dozens of small programs.
+@partial(jax.jit, static_argnums=0)
 def moments(
     statistic: Statistic, components: list[Array], alpha: Array, valid: Array | None
 ) -> tuple[list[Array], list[Array], Array, Array]:

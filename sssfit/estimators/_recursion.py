@@ -66,10 +66,10 @@ def covariance_step(
     arriving = product if lagged else (1 - alpha) * product
     held = covariance if low is None else covariance + low
     new, new_low = toward(covariance, alpha * (arriving - held), low)
-    # inf - inf would be NaN; with alpha = 1, 0 * inf.
+    # inf - inf would be NaN.
     new = jnp.where(jnp.isinf(covariance), covariance + product, new)
-    forgotten = product if lagged else jnp.where(jnp.isnan(product), product, 0)
-    new = jnp.where(alpha == 1, forgotten, new)
+    # Starting afresh, whatever was kept, NaN and inf included.
+    new = jnp.where(alpha == 1, product if lagged else 0, new)
     if new_low is None:
         return new, None
     return new, jnp.where((alpha == 1) | jnp.isinf(new), 0, new_low)

@@ -14,8 +14,8 @@ At the extremes: a constant stream has variance exactly 0 and no stream a negati
 a deviation underflows the variance is 0, where it overflows it is inf, from there on until alpha is 1, and
 the mean is right up to half of the largest number. A covariance whose products overflow stays finite, but
 beside infinite variances it means nothing. A NaN makes the mean and the moments that it enters NaN from
-then on; an infinity makes the mean infinite and then NaN, the variance infinite. alpha = 1 starts afresh, and
-`valid` keeps both out.
+then on (as the first sample, or with alpha = 1, the variances one sample later); an infinity makes mean and
+variance infinite and then NaN. alpha = 1 starts afresh, and `valid` keeps both out.
 
 Source: Finch, "Incremental calculation of weighted mean and variance", 2009; Xie and Olano 2021, Eq 5-6 and
 32-34; Xie, dissertation, 2021, Eq B.18-B.22.
