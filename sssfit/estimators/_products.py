@@ -22,12 +22,18 @@ def components_of(statistic: Statistic, x: ArrayLike | Sequence) -> list[Array]:
             raise ValueError("a sample of 'emc' must be a pair (x, y)")
         dtype = jnp.result_type(float, *x)
         return jnp.broadcast_arrays(*(jnp.asarray(c, dtype) for c in x))
-    values = jnp.asarray(x, jnp.result_type(float, *([x] if not isinstance(x, list) else x)))
+    values = floating(x)
     if statistic not in MATRICES:
         return [values]
     if values.ndim == 0 or values.shape[-1] == 0:
         raise ValueError(f"a sample of {statistic!r} must have its vector on the last axis, got a number")
     return [values[..., i] for i in range(values.shape[-1])]
+
+
+def floating(x: ArrayLike | Sequence) -> Array:
+    """An array of a floating dtype; integers and lists take JAX's default one."""
+    values = jnp.asarray(x)
+    return values.astype(jnp.result_type(float, values))
 
 
 def product_pairs(statistic: Statistic, num_components: int) -> list[tuple[int, int]]:

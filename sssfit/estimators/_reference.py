@@ -5,10 +5,10 @@ import numpy as np
 
 def explicit(xs: np.ndarray, alpha: float) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance after each sample by the weights' definition, in extended precision; O(T^2)."""
-    xs, alpha = xs.astype(np.longdouble), np.longdouble(alpha)
+    xs, share = xs.astype(np.longdouble), np.longdouble(alpha)
     age = np.subtract.outer(np.arange(len(xs)), np.arange(len(xs)))
-    decays = (1 - alpha) ** np.arange(len(xs))
-    weights = np.where(age >= 0, alpha * decays[np.maximum(age, 0)], 0)
+    decays = (1 - share) ** np.arange(len(xs))
+    weights = np.where(age >= 0, share * decays[np.maximum(age, 0)], 0)
     # The first sample carries what all those before it would have.
     weights[:, 0] = decays
     mean = weights @ xs
@@ -22,7 +22,7 @@ def filtered(xs: np.ndarray, alpha: float) -> tuple[np.ndarray, np.ndarray]:
     start = float(xs[0])
     # Deviations from the first sample, so that the filter starts from 0.
     shifted = xs.astype(np.float64) - start
-    mean = lfilter([alpha], [1, alpha - 1], shifted)
+    mean = np.asarray(lfilter([alpha], [1, alpha - 1], shifted))
     before = np.concatenate([[0.0], mean[:-1]])
-    variance = lfilter([alpha * (1 - alpha)], [1, alpha - 1], np.square(shifted - before))
+    variance = np.asarray(lfilter([alpha * (1 - alpha)], [1, alpha - 1], np.square(shifted - before)))
     return mean + start, variance

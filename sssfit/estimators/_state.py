@@ -84,15 +84,16 @@ def update(
     Args:
         state: as `init` or this function returned it.
         x: the sample: of the state's shape, a pair for "emc", vectors on the last axis for matrices.
-        alpha: weight of this sample, in (0, 1], broadcast to the state's shape. At 1 the past is
+        alpha: weight of this sample, in (0, 1], broadcast to the weights' shape. At 1 the past is
             forgotten: the mean is x and the variance 0 (for "ewma_covariance" the squared deviation).
-        valid: where False the state stays as it is, bit for bit, and whatever stands in x is ignored.
+        valid: where False the state stays as it is, bit for bit, and whatever stands in x is ignored;
+            broadcast to the weights' shape.
 
     Returns:
         A state of the same structure, shapes and dtypes, fit to be the carry of `lax.scan`.
 
     Raises:
-        ValueError: alpha is a number of the host outside (0, 1], or x does not fit the state.
+        ValueError: alpha is a number of the host outside (0, 1], or x, alpha or valid do not fit the state.
 
     Source: Xie and Olano 2021, Eq 5, 6, 32, 33 and 34 ("ewma_covariance").
 
@@ -103,6 +104,8 @@ def update(
     """
     _recursion.check_alpha(alpha)
     components = _fitting(state, x)
+    for name, value in (("alpha", alpha), ("valid", valid)):
+        _check_weights_fit(state, name, () if value is None else jnp.shape(value))
     if valid is not None:
         # Also in the branch that is not taken a NaN would reach the gradient.
         components = [jnp.where(valid, c, 0) for c in components]
@@ -120,6 +123,15 @@ def _fitting(state: State, x: ArrayLike | Sequence) -> list[Array]:
     if np.broadcast_shapes(components[0].shape, shape) != shape:
         raise ValueError(f"x must have the state's shape {shape}, got {components[0].shape}")
     return components
+
+
+def _check_weights_fit(state: State, name: str, shape: tuple[int, ...]) -> None:
+    """Refuse weights that differ where the state keeps but one record of them."""
+    kept = state.started.shape
+    if len(shape) > len(kept) or np.broadcast_shapes(shape, kept) != kept:
+        raise ValueError(
+            f"{name} must broadcast to the weights' shape {kept}, got {shape}; init with weights_shape"
+        )
 
 
 def _advance(state: State, components: list[Array], alpha: Array) -> State:

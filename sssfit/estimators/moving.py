@@ -30,7 +30,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
 
 from sssfit.estimators import _associative, _recursion
-from sssfit.estimators._products import MATRICES, Statistic, components_of
+from sssfit.estimators._products import MATRICES, Statistic, components_of, floating
 from sssfit.estimators._products import STATISTICS as STATISTICS
 from sssfit.estimators._state import State as State
 from sssfit.estimators._state import estimate as estimate
@@ -282,7 +282,7 @@ def _stream(statistic: Statistic, xs: ArrayLike | Sequence):
     if statistic == "emc":
         xs = tuple(components_of(statistic, xs))
     else:
-        xs = jnp.asarray(xs, jnp.result_type(float, *([xs] if not isinstance(xs, list) else xs)))
+        xs = floating(xs)
     needed = 2 if statistic in MATRICES else 1
     if jax.tree.leaves(xs)[0].ndim < needed:
         raise ValueError(f"xs must have time on axis 0 and, for matrices, vectors on the last, got {xs}")
