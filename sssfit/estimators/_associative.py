@@ -33,17 +33,12 @@ def moments(
     deltas = [jnp.where(first, 0, x - _previous(mean)) for x, mean in zip(components, means, strict=True)]
     gain = share if statistic == "ewma_covariance" else share * (1 - share)
 
-    def increments(i, j):
+    def increments(i: int, j: int) -> Array:
         # A square that overflows counts nothing where its weight is 0.
         return jnp.where(gain == 0, 0, gain * (deltas[i] * deltas[j]))
 
-    products = []
-    for i, j in product_pairs(statistic, len(components)):
-        products.append(
-            _decaying_sum(
-                1 - share, jnp.where(gain == 0, 0, gain * (deltas[i] * deltas[j])), saturated=i != j
-            )
-        )
+    pairs = product_pairs(statistic, len(components))
+    products = [_decaying_sum(1 - share, increments(i, j), saturated=i != j) for i, j in pairs]
     debias = _decaying_sum((1 - share) ** 2, 2 * share * (1 - share), saturated=False)
     return means, products, debias, started
 

@@ -35,8 +35,9 @@ class Config(eqx.Module):
                 raise ValueError(f"{name} must be at least 0, got {value}")
 
 
-#: Online coefficients with the 2021 paper's constants, except for the weight of its covariance: 1e-6 freezes
-#: in float32 and below, and is a regression through the first frame; 0.05 is what its supplement uses.
+#: Online coefficients with the 2021 paper's constants, except for its weight of the covariance, 1e-6: that
+#: cannot follow a light that moves, lets epsilon decide under dim light, and is lost in half formats. 0.05 is
+#: the weight of the dissertation's example in appendix B.3.
 ONLINE = Config(sample_count.PAPER_2021)
 #: The same with main part separation.
 MAIN_PART = Config(sample_count.PAPER_2021, constant=1.0)
@@ -74,7 +75,9 @@ class Moments(eqx.Module):
 
 
 class History(eqx.Module):
-    """What a pixel remembers: nine numbers with the full matrix, seven packed, three with a constant.
+    """What a pixel remembers: the papers' nine numbers, seven packed, three with a constant coefficient.
+
+    Of the nine two are equal, the matrix's covariance, which is kept once.
 
     Attributes:
         count: the sample count's three numbers, of the residual.
@@ -94,9 +97,11 @@ class Observation(eqx.Module):
         control_integral: G, the control's known integral; for a control that is constant within a frame
             the same as g.
         count: samples drawn; None means as many as the history asked for.
-        distant_share: share of distant light of the next frame; see `sample_count.distant_share`.
+        distant_share: share of distant light; see `sample_count.distant_share`.
         missing: where the pixel had no history before this frame.
         valid: where False nothing is learned and the history stays as it is.
+        next_distant_share: share of distant light in the next frame, which `Info.count` is for; None means
+            as in this one.
     """
 
     value: ArrayLike
@@ -106,6 +111,7 @@ class Observation(eqx.Module):
     distant_share: ArrayLike = 1.0
     missing: ArrayLike = False
     valid: ArrayLike = True
+    next_distant_share: ArrayLike | None = None
 
 
 class Info(eqx.Module):

@@ -31,6 +31,12 @@ def check_alpha(alpha: ArrayLike) -> None:
             )
 
 
+def check_fits(name: str, shape: tuple[int, ...], kept: tuple[int, ...], remedy: str) -> None:
+    """Raise where an argument would make what is kept larger."""
+    if len(shape) > len(kept) or np.broadcast_shapes(shape, kept) != kept:
+        raise ValueError(f"{name} must broadcast to the shape {kept}, got {shape}; {remedy}")
+
+
 def toward(old: Array, increment: Array, low: Array | None = None) -> tuple[Array, Array | None]:
     """old + increment; with the low part of a compensated sum, both parts of the new one."""
     if low is None:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
@@ -47,8 +46,8 @@ def init(
         like: anything of a sample's shape and dtype: an array, a pair of them for "emc", vectors on the
             last axis for the last two. A matrix of n components takes n (n + 3) / 2 numbers.
         dtype: what to keep the moments in, such as jnp.float16; the samples' by default.
-        compensated: also keep what each rounding lost, twice the memory: float32 then carries weights
-            of 1e-6 and below, and a half format what float32 does.
+        compensated: also keep what each rounding lost, twice the memory: float32 then carries weights of
+            1e-6 and below, float16 (22 bits in all) half of what float32 does, bfloat16 16 bits.
         weights_shape: shape of `debias` and `started`. The samples' by default; () is enough, and saves
             5 bytes for each, where one number alpha and no `valid` serve all.
 
@@ -105,7 +104,8 @@ def update(
     _recursion.check_alpha(alpha)
     components = _fitting(state, x)
     for name, value in (("alpha", alpha), ("valid", valid)):
-        _check_weights_fit(state, name, () if value is None else jnp.shape(value))
+        shape = () if value is None else jnp.shape(value)
+        _recursion.check_fits(name, shape, state.started.shape, "init with another weights_shape")
     if valid is not None:
         # Also in the branch that is not taken a NaN would reach the gradient.
         components = [jnp.where(valid, c, 0) for c in components]
@@ -120,18 +120,8 @@ def _fitting(state: State, x: ArrayLike | Sequence) -> list[Array]:
     shape = state.mean[0].shape
     if len(components) != len(state.mean):
         raise ValueError(f"x must have {len(state.mean)} components like the state, got {len(components)}")
-    if np.broadcast_shapes(components[0].shape, shape) != shape:
-        raise ValueError(f"x must have the state's shape {shape}, got {components[0].shape}")
+    _recursion.check_fits("x", components[0].shape, shape, "that is the state's")
     return components
-
-
-def _check_weights_fit(state: State, name: str, shape: tuple[int, ...]) -> None:
-    """Refuse weights that differ where the state keeps but one record of them."""
-    kept = state.started.shape
-    if len(shape) > len(kept) or np.broadcast_shapes(shape, kept) != kept:
-        raise ValueError(
-            f"{name} must broadcast to the weights' shape {kept}, got {shape}; init with weights_shape"
-        )
 
 
 def _advance(state: State, components: list[Array], alpha: Array) -> State:

@@ -10,6 +10,7 @@ Eq 2.29-2.34, whose Eq 2.31 lacks the exponents; moments derived here.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -24,7 +25,9 @@ from sssfit.estimators import _recursion, sample_count
 MAX_BRANCHES = 2_000_000
 
 
-def pilot_bias(values: ArrayLike, probabilities: ArrayLike, pilot: ArrayLike) -> Array:
+def pilot_bias(
+    values: ArrayLike | Sequence[float], probabilities: ArrayLike | Sequence[float], pilot: ArrayLike
+) -> Array:
     """Expected error of a mean that trusts its pilot samples when they are all the same.
 
     Args:
@@ -55,7 +58,7 @@ def pilot_bias(values: ArrayLike, probabilities: ArrayLike, pilot: ArrayLike) ->
     return jnp.sum(jnp.power(probabilities, pilot) * (values - mean), axis=-1)
 
 
-def _check_distribution(values: ArrayLike, probabilities: ArrayLike) -> None:
+def _check_distribution(values: ArrayLike | Sequence, probabilities: ArrayLike | Sequence) -> None:
     if np.shape(values) != np.shape(probabilities) or not np.shape(values):
         raise ValueError(
             "values and probabilities must have one shape with a last axis, got "
@@ -65,6 +68,10 @@ def _check_distribution(values: ArrayLike, probabilities: ArrayLike) -> None:
         known = np.asarray(probabilities, np.float64)
         if np.any(known < 0) or np.any(np.abs(known.sum(axis=-1) - 1) > 1e-4):
             raise ValueError(f"probabilities must be >= 0 and sum to 1, got {known.tolist()}")
+
+
+# Branches differ in number from frame to frame; op by op each would compile dozens of programs.
+_next_count, _update = jax.jit(sample_count.next_count), jax.jit(sample_count.update)
 
 
 class ControllerBias(NamedTuple):
@@ -97,7 +104,10 @@ class _Branch(NamedTuple):
 
 
 def controller_bias(
-    values: ArrayLike, probabilities: ArrayLike, controller: sample_count.Controller, frames: int
+    values: ArrayLike | Sequence[float],
+    probabilities: ArrayLike | Sequence[float],
+    controller: sample_count.Controller,
+    frames: int,
 ) -> ControllerBias:
     """Exact bias of a controlled pixel by enumeration of every outcome, in float64.
 
@@ -111,7 +121,8 @@ def controller_bias(
         A `ControllerBias`, exact up to rounding.
 
     Raises:
-        ValueError: there are more than 2,000,000 branches, or the distribution is none.
+        ValueError: there are more than 2,000,000 branches, a pixel draws no sample (min_spp is 0), frames
+            is below 1, or the distribution is none.
 
     Source: the expectation over Algorithm 1 of Xie and Olano 2021, as derived here.
 
@@ -123,10 +134,12 @@ def controller_bias(
     """
     _check_distribution(values, probabilities)
     values, probabilities = np.asarray(values, np.float64), np.asarray(probabilities, np.float64)
+    if frames < 1:
+        raise ValueError(f"frames must be at least 1, got {frames}")
     truth = float(values @ probabilities)
     with jax.enable_x64(True):
         history = sample_count.init(np.zeros(1))
-        count = np.asarray(sample_count.next_count(history, controller))
+        count = np.asarray(_next_count(history, controller))
         branch = _Branch(np.ones(1), history, count, np.zeros(1), np.zeros(1))
         rows = []
         for frame in range(frames):
@@ -142,28 +155,34 @@ def controller_bias(
                     weight @ (means - truth) ** 2,
                 )
             )
-            branch = branch._replace(count=np.asarray(sample_count.next_count(branch.history, controller)))
+            branch = branch._replace(count=np.asarray(_next_count(branch.history, controller)))
     return ControllerBias(*np.array(rows).T)
 
 
 def _branch_out(branch: _Branch, values, probabilities, controller, *, missing: bool):
     """Every branch followed by every outcome of its samples, and those outcomes' means."""
+    size = len(probabilities)
+    numbers, occurring = np.unique(branch.count, return_counts=True)
+    if numbers[0] < 1:
+        raise ValueError("a frame without samples has no mean; min_spp must be at least 1")
+    ways = (math.comb(int(n) + size - 1, size - 1) for n in numbers)
+    branches = sum(int(rows) * way for rows, way in zip(occurring, ways, strict=True))
+    if branches > MAX_BRANCHES:
+        raise ValueError(
+            f"{branches} branches exceed {MAX_BRANCHES}; use fewer frames or values, or a smaller max_spp"
+        )
     parts = []
-    for count in np.unique(branch.count):
+    for count in numbers:
         counts, chances = _outcomes(int(count), probabilities)
         rows = np.flatnonzero(branch.count == count)
         parts.append(
             (np.repeat(rows, len(chances)), np.tile(counts @ values, len(rows)), np.tile(chances, len(rows)))
         )
     rows, sums, chances = (np.concatenate(part) for part in zip(*parts, strict=True))
-    if len(rows) > MAX_BRANCHES:
-        raise ValueError(
-            f"{len(rows)} branches exceed {MAX_BRANCHES}; use fewer frames or values, or a smaller max_spp"
-        )
     count = branch.count[rows]
     means = sums / count
     history = jax.tree.map(lambda part: part[rows], branch.history)
-    history = sample_count.update(history, means, count, controller, missing=missing)
+    history = _update(history, means, count, controller, missing=missing)
     following = _Branch(
         branch.probability[rows] * chances,
         history,
@@ -208,8 +227,9 @@ def emv_moments(alpha: ArrayLike, num_samples: ArrayLike = jnp.inf, kurtosis: Ar
             of n samples 3 plus their excess over n.
 
     Returns:
-        `EmvMoments`, exact for every distribution of that kurtosis. A long past at alpha = 0.2 has the
-        mean 8/9, and for normal samples the deviation 0.479: a controller that trusts it errs by half.
+        `EmvMoments`, exact for every distribution of that kurtosis, within 8 eps. A long past at
+        alpha = 0.2 has the mean 8/9, and for normal samples the deviation 0.479: a controller that trusts
+        it errs by half.
 
     Source: moments of a weighted sample variance, derived here; num_samples and equal weights give
     the textbook's (kurtosis - (n - 3) / (n - 1)) / n.
@@ -223,22 +243,39 @@ def emv_moments(alpha: ArrayLike, num_samples: ArrayLike = jnp.inf, kurtosis: Ar
     dtype = jnp.result_type(float, alpha, kurtosis)
     alpha, kurtosis = jnp.asarray(alpha, dtype), jnp.asarray(kurtosis, dtype)
     steps = jnp.asarray(num_samples, dtype) - 1
-    second, third, fourth = (_weight_sum(alpha, steps, power) for power in (2, 3, 4))
-    complement = _weight_complement(alpha, steps)
-    variance = (kurtosis - 1) * (second - 2 * third) + (kurtosis - 3) * fourth + 2 * jnp.square(second)
-    deviation = jnp.sqrt(jnp.maximum(variance, 0)) / complement
-    return EmvMoments(complement, deviation)
+    mean = _decayed(alpha, steps, 2) * 2 * (1 - alpha) / (2 - alpha)
+    squares, products = _form_sums(alpha, steps)
+    return EmvMoments(mean, jnp.sqrt((kurtosis - 1) * squares + 2 * products) / mean)
 
 
-def _weight_sum(alpha: Array, steps: Array, power: int) -> Array:
-    """Sum of the weights' powers: k^(p n) + alpha^p (1 - k^(p n)) / (1 - k^p) with k = 1 - alpha."""
-    log_kept = power * jnp.log1p(-jnp.minimum(alpha, 1))
-    # No step at all is no decay, also where alpha is 1.
-    decay = jnp.where(steps == 0, 0, steps * log_kept)
-    return jnp.exp(decay) + alpha**power * jnp.expm1(decay) / jnp.expm1(log_kept)
+def _form_sums(alpha: Array, steps: Array) -> tuple[Array, Array]:
+    """For the variance as a form x' M x, M = diag(w) - w w': the sums of M_ii^2, and of M_ij^2 with i != j.
+
+    Sums of like signs, which the same in powers of the weights is not: for a small alpha that cancels.
+    """
+    kept = 1 - alpha
+    first = jnp.exp(_times(steps, jnp.log1p(-alpha)))
+    # Those between the first and the newest, whose 1 - w is `kept` without a subtraction.
+    between = jnp.maximum(steps - 1, 0)
+    share = alpha * kept
+    squares = jnp.square(first * _decayed(alpha, steps, 1)) + jnp.where(steps > 0, jnp.square(share), 0)
+    for power, times in ((2, 1), (3, -2), (4, 1)):
+        squares += times * share**power * _geometric(alpha, between, power)
+    pairs = jnp.square(share) * _geometric(alpha, between, 2) / (1 + jnp.square(kept))
+    products = jnp.square(first) + pairs
+    return squares, 2 * jnp.square(alpha) * _geometric(alpha, steps, 2) * products
 
 
-def _weight_complement(alpha: Array, steps: Array) -> Array:
-    """1 minus the sum of the squared weights, which for a small alpha is near 0 at first."""
-    decay = jnp.where(steps == 0, 0, 2 * steps * jnp.log1p(-alpha))
-    return -jnp.expm1(decay) * 2 * (1 - alpha) / (2 - alpha)
+def _times(steps: Array, log: Array) -> Array:
+    """No step at all is no decay, also where alpha is 1 and the logarithm infinite."""
+    return jnp.where(steps == 0, 0, steps * log)
+
+
+def _decayed(alpha: Array, steps: Array, power: int) -> Array:
+    """1 - (1 - alpha)^(power steps)."""
+    return -jnp.expm1(_times(steps, power * jnp.log1p(-alpha)))
+
+
+def _geometric(alpha: Array, steps: Array, power: int) -> Array:
+    """1 + k + k^2 + ..., as many terms as steps, k = (1 - alpha)^power."""
+    return _decayed(alpha, steps, power) / -jnp.expm1(power * jnp.log1p(-alpha))

@@ -65,8 +65,8 @@ def coefficient(
         bound: the largest coefficient, the least being 0; a tuple gives both; None leaves it free.
 
     Returns:
-        (Sxy + epsilon) / (Syy + epsilon) within the bound, of the leading shape. 0 for an infinite Syy. It
-        is the same for `moving.emcm` and `moving.ewma_covariance` with epsilon 0.
+        (Sxy + epsilon) / (Syy + epsilon) within the bound, of the leading shape. 0 for an infinite Syy
+        and finite Sxy. It is the same for `moving.emcm` and `moving.ewma_covariance` with epsilon 0.
 
     Raises:
         ValueError: the covariance's last axes are not (2, 2).
@@ -119,7 +119,8 @@ def init(
     Args:
         like: anything of the pixels' shape and dtype.
         config: with a constant coefficient three numbers are kept.
-        packed: keep seven numbers instead of nine: neither the variance of f nor the covariance twice.
+        packed: keep seven numbers instead of nine, without the variance of f (and the covariance once, as
+            ever).
         dtype: what to keep the history in, such as jnp.float16; that of `like` by default.
 
     Example:
@@ -218,7 +219,9 @@ def step(state: History, observation: Observation, config: Config = ONLINE) -> t
     )
     count = observation.count
     if count is None:
-        count = sample_count.next_count(state.count, controller, distant_share=observation.distant_share)
+        count = sample_count.next_count(
+            state.count, controller, distant_share=observation.distant_share, missing=observation.missing
+        )
     learned = jnp.asarray(observation.valid) & (jnp.asarray(count) > 0)
     found = _current(state.moments, value, control, config, observation.missing)
     left = residual(value, integral, jnp.broadcast_to(found, state.count.mean.shape))
@@ -231,8 +234,10 @@ def step(state: History, observation: Observation, config: Config = ONLINE) -> t
             moments, jnp.where(learned, value, 0), jnp.where(learned, control, 0), config, observation
         )
         moments = _recursion.choose(learned, new, moments)
-    following = sample_count.next_count(counted, controller, distant_share=observation.distant_share)
-    return History(counted, moments), Info(jnp.broadcast_to(found, left.shape), left, following)
+    following = observation.next_distant_share
+    following = observation.distant_share if following is None else following
+    asked = sample_count.next_count(counted, controller, distant_share=following)
+    return History(counted, moments), Info(jnp.broadcast_to(found, left.shape), left, asked)
 
 
 def _current(
@@ -259,6 +264,8 @@ def _after(
     kept, wide = moments.covariance.dtype, value.dtype
     alpha = jnp.where(observation.missing, 1, jnp.asarray(config.alpha, wide))
     value_mean, control_mean = moments.value_mean.astype(wide), moments.control_mean.astype(wide)
+    # A control that stays must not vary by what storing its mean rounds off: the coefficient would be noise.
+    control = control.astype(kept).astype(wide)
     of_value, of_control = value - value_mean, control - control_mean
 
     def product(old: Array, dx: Array, dy: Array) -> Array:

@@ -156,7 +156,11 @@ def frames_to_forget(alpha: ArrayLike, share: ArrayLike) -> Array:
         >>> float(frames_to_forget(0.2, 0.08))
         12.0
     """
-    return jnp.maximum(jnp.ceil(jnp.log(jnp.asarray(share)) / jnp.log1p(-jnp.asarray(alpha))), 1)
+    frames = jnp.log(jnp.asarray(share)) / jnp.log1p(-jnp.asarray(alpha))
+    whole = jnp.round(frames)
+    # Where the share is a power of the decay, rounding of the logarithms decides on which side it falls.
+    is_whole = jnp.abs(frames - whole) <= 4 * jnp.finfo(frames.dtype).eps * frames
+    return jnp.maximum(jnp.where(is_whole, whole, jnp.ceil(frames)), 1)
 
 
 def frames_to_converge(
@@ -174,8 +178,8 @@ def frames_to_converge(
         alpha: weight of the newest frame, in (0, 1).
 
     Returns:
-        Smallest whole number of frames, as a float; inf where frame_variance is above what the target
-        allows, target (2 - alpha) / (2 - 2 alpha).
+        Smallest whole number of frames from which on it stays there, as a float; 1 where it never is
+        above; inf where frame_variance is above what the target allows, target (2 - alpha) / (2 - 2 alpha).
 
     Source: expectation of Xie et al. 2020, Eq 9, from zero, derived here.
 
@@ -188,8 +192,12 @@ def frames_to_converge(
     share = alpha / (2 - alpha)
     # Expected variance less the target, a w^2 + b w + c in the weight w = (1 - alpha)^n of the zeros.
     a, b, c = variance * share - square, square - variance, variance * (1 - share) - target_variance
-    root = jnp.sqrt(jnp.maximum(jnp.square(b) - 4 * a * c, 0))
+    discriminant = jnp.square(b) - 4 * a * c
+    root = jnp.sqrt(jnp.maximum(discriminant, 0))
     # The smaller weight, by the form that does not subtract near numbers.
     weight = jnp.where(b >= 0, -2 * c / (b + root), (root - b) / (2 * a))
     frames = jnp.ceil(jnp.log(jnp.where(weight > 0, weight, 1)) / jnp.log1p(-alpha))
-    return jnp.where(c <= 0, jnp.maximum(frames, 1), jnp.inf)
+    # The zeros count for so little that the expectation is below the target all the way.
+    always_below = (discriminant <= 0) | (b <= 0)
+    frames = jnp.where(always_below, 1, jnp.where(c == 0, jnp.inf, jnp.maximum(frames, 1)))
+    return jnp.where(c > 0, jnp.inf, frames)

@@ -52,7 +52,8 @@ def estimate(
     Returns:
         kappa Delta + E within [min_spp, max_spp], Delta = (variance - target) / target * mean_count *
         (2 / alpha - 2) and E = variance / target * mean_count, of the arguments' shape and dtype.
-        Relative error in float32 below 6 eps (1 + g) with g = kappa (2 / alpha - 2). NaN for a NaN.
+        Error below 4 eps (1 + g) max(variance / target, 1) mean_count, g = kappa (2 / alpha - 2): relative
+        to the count itself only where the correction does not cancel it. NaN for a NaN.
 
     Source: Xie and Olano 2021, Eq 8-10; Xie et al. 2020, Eq 14, whose Eq 15 lacks the squares.
 
@@ -141,7 +142,8 @@ def distant_share(depth: ArrayLike, pixel_width: ArrayLike, pixel_height: ArrayL
         d: Burley's shape parameter, mm, the widest channel's for a pixel.
 
     Returns:
-        sf(r0, d) with r0 = depth sqrt(width^2 + height^2) / 2, in [0, 1]; accuracy as `burley.sf`.
+        sf(r0, d) with r0 = depth sqrt(width^2 + height^2) / 2, in [0, 1]; accuracy as `burley.sf`, plus what
+        rounding r0 adds, (r0 / d) eps.
 
     Source: Xie and Olano 2021, Eq 14 and Table 2 (gamma).
 
@@ -191,13 +193,20 @@ def init(like: ArrayLike, *, dtype: DTypeLike | None = None) -> History:
     return History(zero, zero, zero)
 
 
-def next_count(history: History, controller: Controller, *, distant_share: ArrayLike = 1.0) -> Array:
+def next_count(
+    history: History,
+    controller: Controller,
+    *,
+    distant_share: ArrayLike = 1.0,
+    missing: ArrayLike = False,
+) -> Array:
     """How many samples each pixel draws in the next frame.
 
     Args:
         history: what it is decided from.
         controller: its constants.
         distant_share: see `distant_share`; 0 samples below the controller's threshold.
+        missing: where the history is not this pixel's and is not looked at, as if it were all zeros.
 
     Returns:
         int32 within the controller's bounds, or 0.
@@ -210,7 +219,9 @@ def next_count(history: History, controller: Controller, *, distant_share: Array
         20
     """
     wide = _recursion.computing_dtype(history.variance.dtype)
-    mean_count, variance = (jnp.asarray(v, wide) for v in (history.mean_count, history.variance))
+    mean_count, variance = (
+        jnp.where(missing, 0, jnp.asarray(v, wide)) for v in (history.mean_count, history.variance)
+    )
     limits = {"min_spp": controller.min_spp, "max_spp": controller.max_spp}
     target = {"target_variance": jnp.asarray(controller.target_variance, wide)}
     if controller.metric == "accumulated":
@@ -246,6 +257,9 @@ def update(
     Returns:
         A `History` of the same shape and dtype.
 
+    Raises:
+        ValueError: value, count, missing or valid do not broadcast to the history's shape.
+
     Source: Xie and Olano 2021, Eq 5-7; Xie et al. 2020, Eq 16-17.
 
     Example:
@@ -253,6 +267,8 @@ def update(
         >>> [round(float(v), 6) for v in (history.mean_count, history.mean, history.variance)]
         [8.0, 1.0, 0.001]
     """
+    for name, given in (("value", value), ("count", count), ("missing", missing), ("valid", valid)):
+        _recursion.check_fits(name, jnp.shape(given), history.variance.shape, "that is the history's")
     kept = history.variance.dtype
     wide = _recursion.computing_dtype(kept)
     learned = jnp.asarray(valid) & (jnp.asarray(count) > 0)
