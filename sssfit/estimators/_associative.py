@@ -34,8 +34,7 @@ def moments(
     gain = share if statistic == "ewma_covariance" else share * (1 - share)
 
     def increments(i: int, j: int) -> Array:
-        # A square that overflows counts nothing where its weight is 0.
-        return jnp.where(gain == 0, 0, gain * (deltas[i] * deltas[j]))
+        return gain * _counting(gain == 0, deltas[i] * deltas[j])
 
     pairs = product_pairs(statistic, len(components))
     products = [_decaying_sum(1 - share, increments(i, j), saturated=i != j) for i, j in pairs]
@@ -59,14 +58,16 @@ def _previous(values: Array) -> Array:
 def _means(share: Array, components: list[Array]) -> list[Array]:
     def join(early, late):
         (kept_a, share_a, means_a), (kept_b, share_b, means_b) = early, late
-        kept = _product(kept_a, kept_b)
-        share = share_a * kept_b + share_b
-        step = jnp.where(share > 0, share_b / jnp.where(share > 0, share, 1), 0)
+        remaining = share_a * kept_b
+        share = remaining + share_b
+        total = jnp.where(share > 0, share, 1)
+        gaps = [_counting(remaining == 0, a - b) for a, b in zip(means_a, means_b, strict=True)]
+        # From the side that weighs more, as the sequential steps do.
         means = [
-            jnp.where((kept_b == 0) | (share_a == 0), b, a + step * (b - a))
-            for a, b in zip(means_a, means_b, strict=True)
+            jnp.where(share_b >= remaining, b + remaining / total * gap, a - share_b / total * gap)
+            for a, b, gap in zip(means_a, means_b, gaps, strict=True)
         ]
-        return kept, share, means
+        return _product(kept_a, kept_b), share, means
 
     return lax.associative_scan(join, (1 - share, share, components))[2]
 
@@ -76,8 +77,7 @@ def _decaying_sum(kept: Array, increments: Array, *, saturated: bool) -> Array:
 
     def join(early, late):
         (kept_a, sum_a), (kept_b, sum_b) = early, late
-        # A forgotten past is none, also where it was infinite.
-        return _product(kept_a, kept_b), limit(jnp.where(kept_b == 0, 0, kept_b * sum_a) + sum_b)
+        return _product(kept_a, kept_b), limit(kept_b * _counting(kept_b == 0, sum_a) + sum_b)
 
     def limit(total):
         return saturate(total, total.dtype) if saturated else total
@@ -85,7 +85,12 @@ def _decaying_sum(kept: Array, increments: Array, *, saturated: bool) -> Array:
     return lax.associative_scan(join, (kept, limit(increments)))[1]
 
 
+def _counting(weightless: Array, value: Array) -> Array:
+    """The value, but 0 where it has no weight and no finite size: a forgotten NaN or inf is none."""
+    return jnp.where(weightless & ~jnp.isfinite(value), 0, value)
+
+
 def _product(a: Array, b: Array) -> Array:
     """a b, which is 0 only where a factor is: what is forgotten and what has faded stay apart."""
     tiny = float(jnp.finfo(a.dtype).tiny)
-    return jnp.where((a == 0) | (b == 0), 0, jnp.maximum(a * b, tiny))
+    return jnp.where((a == 0) | (b == 0), a * b, jnp.maximum(a * b, tiny))

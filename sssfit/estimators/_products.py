@@ -20,8 +20,9 @@ def components_of(statistic: Statistic, x: ArrayLike | Sequence) -> list[Array]:
     if statistic == "emc":
         if not isinstance(x, tuple | list) or len(x) != 2:
             raise ValueError("a sample of 'emc' must be a pair (x, y)")
-        dtype = jnp.result_type(float, *x)
-        return jnp.broadcast_arrays(*(jnp.asarray(c, dtype) for c in x))
+        pair = [floating(c) for c in x]
+        dtype = jnp.result_type(*pair)
+        return jnp.broadcast_arrays(*(c.astype(dtype) for c in pair))
     values = floating(x)
     if statistic not in MATRICES:
         return [values]
@@ -65,8 +66,10 @@ def _bounded(covariance: Array, variance_x: Array, variance_y: Array) -> Array:
     # The product of the roots neither overflows nor underflows; three roundings, each up by half an ulp at
     # most, and the one of storing.
     shrunk = 1 - 4 * float(jnp.finfo(wide).eps) - (0.0 if wide == dtype else float(jnp.finfo(dtype).eps))
-    limit = jnp.sqrt(variance_x.astype(wide)) * jnp.sqrt(variance_y.astype(wide)) * shrunk
-    limit = jnp.where((variance_x == 0) | (variance_y == 0), 0, limit)
+    vary = (variance_x != 0) & (variance_y != 0)
+    # A root's slope is infinite at 0, also in the branch that is not taken.
+    roots = (jnp.sqrt(jnp.where(vary, v.astype(wide), 1)) for v in (variance_x, variance_y))
+    limit = jnp.where(vary, next(roots) * next(roots) * shrunk, 0)
     return jnp.clip(covariance.astype(wide), -limit, limit).astype(dtype)
 
 

@@ -1,8 +1,9 @@
 """One step of the exponentially weighted recursions, on plain arrays of one shape.
 
-All of them are written as an old value plus an increment: the weight of the newest sample multiplies what
-has changed, so that a small weight keeps its digits (1 - alpha does not) and an unchanged input changes
-nothing. Numbers are computed in float32 at least, whatever they are stored in.
+For weights up to 1/2 they are written as an old value plus an increment: alpha multiplies what has changed,
+so that a small weight keeps its digits (1 - alpha does not) and an unchanged input changes nothing. Above
+1/2, where 1 - alpha is exact, the old value is multiplied by it, so that what is nearly forgotten leaves no
+rounding behind. Numbers are computed in float32 at least, whatever they are stored in.
 """
 
 from collections.abc import Sequence
@@ -32,8 +33,9 @@ def check_alpha(alpha: ArrayLike) -> None:
 
 
 def check_fits(name: str, shape: tuple[int, ...], kept: tuple[int, ...], remedy: str) -> None:
-    """Raise where an argument would make what is kept larger."""
-    if len(shape) > len(kept) or np.broadcast_shapes(shape, kept) != kept:
+    """Raise where an argument does not broadcast to what is kept, or would make it larger."""
+    missing = len(kept) - len(shape)
+    if missing < 0 or any(n not in (1, k) for n, k in zip(shape, kept[missing:], strict=True)):
         raise ValueError(f"{name} must broadcast to the shape {kept}, got {shape}; {remedy}")
 
 
@@ -50,9 +52,12 @@ def toward(old: Array, increment: Array, low: Array | None = None) -> tuple[Arra
 
 def mean_step(mean: Array, delta: Array, x: Array, alpha: Array, low: Array | None = None):
     """The moving average after x, delta = x - mean; exactly x where alpha is 1."""
-    new, new_low = toward(mean, alpha * delta, low)
-    new = jnp.where(alpha == 1, x, new)
-    return new, None if new_low is None else jnp.where(alpha == 1, 0, new_low)
+    new, left = toward(mean, alpha * delta, low)
+    if left is not None:
+        return jnp.where(alpha == 1, x, new), jnp.where(alpha == 1, 0, left)
+    # With alpha = 1 nothing of the old is left, NaN and inf included.
+    gap = jnp.where((alpha == 1) & ~jnp.isfinite(delta), 0, delta)
+    return jnp.where(alpha > 0.5, x - (1 - alpha) * gap, new), None
 
 
 def covariance_step(
@@ -66,25 +71,34 @@ def covariance_step(
 ):
     """(1 - alpha) (c + alpha dx dy), or (1 - alpha) c + alpha dx dy for the lagged (EWMA) form.
 
-    Deltas are to the mean before this sample. An infinite c stays so, whatever finite comes.
+    Deltas are to the mean before this sample. An infinite c stays so, whatever comes but alpha = 1.
     """
     product = delta_x * delta_y
     arriving = product if lagged else (1 - alpha) * product
-    held = covariance if low is None else covariance + low
-    new, new_low = toward(covariance, alpha * (arriving - held), low)
+    if low is None:
+        stays, left = covariance + alpha * (arriving - covariance), None
+    else:
+        stays, left = toward(covariance, alpha * (arriving - (covariance + low)), low)
     # inf - inf would be NaN.
-    new = jnp.where(jnp.isinf(covariance), covariance + product, new)
-    # Starting afresh, whatever was kept, NaN and inf included.
-    new = jnp.where(alpha == 1, product if lagged else 0, new)
-    if new_low is None:
-        return new, None
-    return new, jnp.where((alpha == 1) | jnp.isinf(new), 0, new_low)
+    stays = jnp.where(jnp.isinf(covariance), covariance + product, stays)
+    # With alpha = 1 nothing of the old is left, NaN and inf included.
+    held, counted = (
+        jnp.where((alpha == 1) & ~jnp.isfinite(value), 0, value) for value in (covariance, product)
+    )
+    fades = (1 - alpha) * held + alpha * product if lagged else (1 - alpha) * (held + alpha * counted)
+    if left is None:
+        return jnp.where(alpha > 0.5, fades, stays), None
+    return jnp.where(alpha == 1, fades, stays), jnp.where((alpha == 1) | jnp.isinf(stays), 0, left)
 
 
 def debias_step(debias: Array, alpha: Array, low: Array | None = None):
     """1 - sum of the squared weights, after one more sample: no difference of near numbers in it."""
-    held = debias if low is None else debias + low
-    return toward(debias, alpha * (2 * (1 - alpha) - (2 - alpha) * held), low)
+    kept = 1 - alpha
+    if low is None:
+        fades = kept * (2 * alpha + kept * debias)
+        grows = debias + alpha * (2 * kept - (2 - alpha) * debias)
+        return jnp.where(alpha > 0.5, fades, grows), None
+    return toward(debias, alpha * (2 * kept - (2 - alpha) * (debias + low)), low)
 
 
 def store(values: Sequence[tuple[Array, Array | None]], dtype) -> tuple[Array, ...]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike, DTypeLike
@@ -124,6 +125,8 @@ def _fitting(state: State, x: ArrayLike | Sequence) -> list[Array]:
     return components
 
 
+# Compiled also where it is called by hand, so that a frame is read and written once.
+@jax.jit
 def _advance(state: State, components: list[Array], alpha: Array) -> State:
     kept, wide = state.mean[0].dtype, alpha.dtype
     low_mean, low_products, low_debias = _low_parts(state, wide)

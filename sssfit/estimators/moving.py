@@ -15,13 +15,14 @@ a deviation underflows the variance is 0, where it overflows it is inf, from the
 the mean is right up to half of the largest number. A covariance whose products overflow stays finite, but
 beside infinite variances it means nothing. A NaN makes the mean and the moments that it enters NaN from
 then on (as the first sample, or with alpha = 1, the variances one sample later); an infinity makes mean and
-variance infinite and then NaN. alpha = 1 starts afresh, and `valid` keeps both out.
+variance infinite or NaN. alpha = 1 starts afresh, and `valid` keeps both out.
 
 Source: Finch, "Incremental calculation of weighted mean and variance", 2009; Xie and Olano 2021, Eq 5-6 and
 32-34; Xie, dissertation, 2021, Eq B.18-B.22.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Literal
 
 import jax
@@ -207,6 +208,7 @@ def scan(
         >>> variances.tolist()
         [0.0, 0.25, 1.6875]
     """
+    _recursion.check_alpha(alpha)
     xs = _stream(statistic, xs)
     shared = valid is None and jnp.ndim(alpha) == 0
     state = init(
@@ -220,6 +222,12 @@ def scan(
         times = len(jax.tree.leaves(xs)[0])
         valid = jnp.broadcast_to(jnp.asarray(valid), (times, *state.started.shape))
 
+    return _scanned(state, xs, alpha, valid, bias=bias, bounded=bounded)
+
+
+# Compiled here: lax.scan alone would compile anew at each call, for its body is a new function each time.
+@partial(jax.jit, static_argnames=("bias", "bounded"))
+def _scanned(state: State, xs, alpha: ArrayLike, valid: Array | None, *, bias: bool, bounded: bool):
     def step(state: State, item):
         x, mask = item
         state = update(state, x, alpha=alpha, valid=mask)

@@ -88,8 +88,8 @@ def test_what_arrives_stays_until_alpha_is_one(bad, method, dtype):
     xs = jnp.ones(12, dtype).at[4].set(bad)
     mean, variance = (np.asarray(f(xs, 0.2, method=method)) for f in (moving.ema, moving.emv))
     assert np.all(mean[:4] == 1) and np.all(variance[:4] == 0)
-    assert mean[4] == pytest.approx(bad, nan_ok=True) and np.all(np.isnan(mean[5:]))
-    assert not np.any(np.isfinite(variance[4:]))
+    assert mean[4] == pytest.approx(bad, nan_ok=True)
+    assert not np.any(np.isfinite(mean[4:]) | np.isfinite(variance[4:]))
     assert variance[4] == pytest.approx(abs(bad), nan_ok=True)
     state = moving.scan("emv", xs, 0.2)[0]
     healed = moving.update(state, 3.0, alpha=1.0)
