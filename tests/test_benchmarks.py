@@ -5,6 +5,8 @@ import importlib
 import re
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -110,3 +112,108 @@ def test_fits(load, page):
             assert np.all(result.seconds > 0)
     assert page.read_text().count("| SciPy trf, analytic Jacobian |") == 2
     assert page.read_text().count(", 16 fits: first call") == 2
+
+
+def some_frames(module):
+    """A frame of each kind: state alone, vectors, counts, and results besides the state."""
+    kinds = [("`ema`, 3 channels", "float32, a weight each"), ("`emcm`, 2 channels", "float16, one weight")]
+    kinds += [("`sample_count`", "float32"), ("`control_variate`, count given", "float32")]
+    frames = {(frame.name, frame.history): frame for frame in module.frames(64, 48)}
+    return [frames[kind] for kind in kinds]
+
+
+def test_frames_are_updated_in_turns_and_in_place(load):
+    module = load("moving_frames")
+    for frame in some_frames(module):
+        update = jax.jit(frame.update)
+        expected = update(frame.state, *frame.inputs)
+        for _ in range(3):
+            expected = update(expected[0], *frame.inputs)
+        # Compiled another way, each of the four updates may round its products and sums the other way.
+        tolerance = 16 * float(jnp.finfo(jax.tree.leaves(frame.state)[0].dtype).eps)
+        for mode in module.MODES:
+            stepper = module.Stepper(frame, mode)
+            for _ in range(3):
+                stepper()
+            for found, wanted in zip(jax.tree.leaves(stepper.last), jax.tree.leaves(expected), strict=True):
+                assert found.dtype == wanted.dtype
+                np.testing.assert_allclose(found, wanted, tolerance, tolerance, err_msg=frame.name)
+
+
+def test_a_copy_uses_all_that_it_reads(load):
+    module = load("moving_frames")
+
+    def total(tree):
+        return sum(np.sum(np.asarray(leaf), dtype=np.float64) for leaf in jax.tree.leaves(tree))
+
+    for frame in some_frames(module):
+        copy = module.copy_of(frame)
+        # Small whole numbers, which no dtype rounds.
+        state = jax.tree.map(lambda leaf: leaf + 1 if leaf.dtype != bool else ~leaf, copy.state)
+        inputs = [jnp.ceil(array).astype(array.dtype) for array in copy.inputs]
+        found = copy.update(state, *inputs)
+        assert total(found) == total((state, inputs[1:]))
+        shapes = jax.eval_shape(frame.update, frame.state, *frame.inputs)
+        sizes = [[(leaf.size, leaf.dtype) for leaf in jax.tree.leaves(tree)] for tree in (found, shapes)]
+        assert sizes[0] == sizes[1]
+
+
+def test_moving_frames(load, page, monkeypatch):
+    frames = load("moving_frames")
+    chosen = some_frames(frames)
+    monkeypatch.setattr(frames, "frames", lambda width, height: chosen)
+    sizes = ["--width", "64", "--height", "48", "--repeats", "1"]
+    rows = load("moving").main(["--parts", "frames", *sizes, "--page", str(page)])["frames"]
+    # By hand: mean, debias and started of three channels, with their samples; and so on.
+    expected = {"`ema`, 3 channels": (3 * (4 + 4 + 1) + 12, 27), "`emcm`, 2 channels": (5 * 2 + 8, 10)}
+    expected |= {"`sample_count`": (12 + 4 + 4, 12), "`control_variate`, count given": (28 + 12 + 4, 28 + 12)}
+    for row in rows:
+        # One weight for all is five bytes in a whole frame.
+        assert (row.read, row.written) == pytest.approx(expected[row.frame.name], abs=0.01)
+        assert row.accessed["copy in turns"] == pytest.approx(row.read + row.written, abs=0.4)
+        assert row.accessed["update in place"] >= row.accessed["copy in place"] - 0.4
+        assert all(times.shape == (1,) and times > 0 for times in row.seconds.values())
+    assert "| `sample_count` | float32 | 20 + 12 |" in page.read_text()
+
+
+def test_moving_streams(load, page):
+    pytest.importorskip("pandas", reason="pandas is not installed: pip install sssfit[bench]")
+    pytest.importorskip("river", reason="river is not installed: pip install sssfit[bench]")
+    sizes = ["--streams", "8", "--few-streams", "3", "--steps", "20", "--repeats", "1"]
+    rows = load("moving").main(["--parts", "streams", *sizes, "--page", str(page)])["streams"]
+    assert {"sssfit, last only", "pandas, a frame per stream", "river"} <= {row.name for row in rows}
+    for row in rows:
+        assert row.streams == (3 if row.name.startswith(("pandas", "river")) else 8)
+        # Twice the bound of `emv`, 8 T eps times a mean square: no sample here is beyond four deviations.
+        assert row.difference < 2 * 8 * 20 * 1.2e-7 * 4**2
+    assert page.read_text().count("| river | 3 |") == 1
+
+
+def test_moving_lengths(load, page, tmp_path, monkeypatch):
+    module = load("moving")
+    monkeypatch.setattr(module, "STREAMS", dict.fromkeys((1, 16), "black"))
+    files = ["--page", str(page), "--plot", str(tmp_path / "crossover.png")]
+    rows = module.main(["--parts", "lengths", "--longest", "16", "--repeats", "1", *files])["lengths"]
+    assert [(row.statistic, row.streams, row.samples) for row in rows] == [
+        (statistic, streams, 16) for statistic in ("emv", "emcm") for streams in (1, 16)
+    ]
+    assert "| `emcm` | 16 | 16 |" in page.read_text()
+    assert (tmp_path / "crossover.png").stat().st_size > 20_000
+
+
+def test_where_associative_is_faster_is_interpolated(load):
+    module = load("moving")
+
+    def found(*ratios):
+        seconds = [{"scan": np.ones(3), "associative": np.array([0.1, ratio, 9])} for ratio in ratios]
+        rows = [module.Row("emv", 1, 16 * 8**i, times, {}) for i, times in enumerate(seconds)]
+        return module.faster(rows)
+
+    assert found(3, 2, 1.5) == []
+    assert found(0.5, 0.2) == [(16, np.inf)]
+    # The ratio falls from 2 to 1/2 over a factor of 8 in length, and is 1 in the middle.
+    assert found(3, 2, 0.5) == [(pytest.approx(128 * 8**0.5), np.inf)]
+    assert found(0.5, 2, 0.5, 2)[0] == (16, pytest.approx(16 * 8**0.5))
+    assert found(4, 2, 1, 0.5)[0][0] == pytest.approx(1024)
+    assert module.described(found(0.5, 2, 0.5)) == "16 to 45, from 360 on"
+    assert module.described([]) == "nowhere"

@@ -62,6 +62,11 @@ class Moments(eqx.Module):
     value_variance: Array | None
 
     @property
+    def is_lost(self) -> Array:
+        """Where a NaN or an infinity has got in, which the covariance tells: as good as missing."""
+        return jnp.isnan(self.covariance)
+
+    @property
     def matrix(self) -> Array:
         """The covariance matrix of (f, g), (..., 2, 2).
 
@@ -99,14 +104,14 @@ class Observation(eqx.Module):
         count: samples drawn; None means as many as the history asked for.
         distant_share: share of distant light; see `sample_count.distant_share`.
         missing: where the pixel had no history before this frame.
-        valid: where False nothing is learned and the history stays as it is.
+        valid: where False nothing is learned and the history stays as it is, unless it was missing.
         next_distant_share: share of distant light in the next frame, which `Info.count` is for; None means
             as in this one.
     """
 
     value: ArrayLike
-    control: ArrayLike
-    control_integral: ArrayLike
+    control: ArrayLike = 0.0
+    control_integral: ArrayLike = 0.0
     count: ArrayLike | None = None
     distant_share: ArrayLike = 1.0
     missing: ArrayLike = False

@@ -3,6 +3,7 @@
 from typing import Literal, get_args
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
@@ -66,7 +67,9 @@ class Controller(eqx.Module):
         check_rounding(self.rounding)
         _check(self.target_variance, "target_variance", "above 0", lambda v: v > 0)
         _check(self.kappa, "kappa", "in [0, 1]", lambda v: (v >= 0) & (v <= 1))
-        _check(self.min_spp, "min_spp", "at least 0", lambda v: v >= 0)
+        # A pixel without samples would never learn that it needs some.
+        _check(self.min_spp, "min_spp", "at least 1", lambda v: v >= 1)
+        _check(self.distant_threshold, "distant_threshold", "at least 0", lambda v: v >= 0)
         if (
             _on_host(self.min_spp)
             and _on_host(self.max_spp)
@@ -96,3 +99,8 @@ class History(eqx.Module):
     mean_count: Array
     mean: Array
     variance: Array
+
+    @property
+    def is_lost(self) -> Array:
+        """Where a NaN or an infinity has got in, which the variance tells: as good as missing."""
+        return jnp.isnan(self.variance)

@@ -27,13 +27,17 @@ def components_of(statistic: Statistic, x: ArrayLike | Sequence) -> list[Array]:
     if statistic not in MATRICES:
         return [values]
     if values.ndim == 0 or values.shape[-1] == 0:
-        raise ValueError(f"a sample of {statistic!r} must have its vector on the last axis, got a number")
+        raise ValueError(
+            f"a sample of {statistic!r} must have its vector on the last axis, got shape {values.shape}"
+        )
     return [values[..., i] for i in range(values.shape[-1])]
 
 
 def floating(x: ArrayLike | Sequence) -> Array:
     """An array of a floating dtype; integers and lists take JAX's default one."""
     values = jnp.asarray(x)
+    if jnp.iscomplexobj(values):
+        raise ValueError("samples must be real, got complex numbers; give their parts as components")
     return values.astype(jnp.result_type(float, values))
 
 
@@ -64,12 +68,14 @@ def _bounded(covariance: Array, variance_x: Array, variance_y: Array) -> Array:
     dtype = covariance.dtype
     wide = jnp.promote_types(dtype, jnp.float32)
     # The product of the roots neither overflows nor underflows; three roundings, each up by half an ulp at
-    # most, and the one of storing.
-    shrunk = 1 - 4 * float(jnp.finfo(wide).eps) - (0.0 if wide == dtype else float(jnp.finfo(dtype).eps))
+    # most, and the one of storing, which below the normal numbers is half a fixed step.
+    info, is_half = jnp.finfo(dtype), wide != dtype
+    shrunk = 1 - 4 * float(jnp.finfo(wide).eps) - (float(info.eps) if is_half else 0.0)
+    step = float(info.smallest_subnormal) if is_half else 0.0
     vary = (variance_x != 0) & (variance_y != 0)
     # A root's slope is infinite at 0, also in the branch that is not taken.
     roots = (jnp.sqrt(jnp.where(vary, v.astype(wide), 1)) for v in (variance_x, variance_y))
-    limit = jnp.where(vary, next(roots) * next(roots) * shrunk, 0)
+    limit = jnp.where(vary, jnp.maximum(next(roots) * next(roots) * shrunk - step, 0), 0)
     return jnp.clip(covariance.astype(wide), -limit, limit).astype(dtype)
 
 

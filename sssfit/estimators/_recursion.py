@@ -22,7 +22,7 @@ def computing_dtype(stored) -> jnp.dtype:
 
 def check_alpha(alpha: ArrayLike) -> None:
     """Raise where a weight known on the host is outside (0, 1]; traced and device values pass."""
-    if isinstance(alpha, int | float | np.ndarray | np.generic):
+    if isinstance(alpha, int | float | np.ndarray | np.generic | list | tuple):
         values = np.asarray(alpha, np.float64)
         if not bool(np.all((values > 0) & (values <= 1))):
             worst = values.flat[int(np.argmin((values > 0) & (values <= 1)))]
@@ -52,12 +52,16 @@ def toward(old: Array, increment: Array, low: Array | None = None) -> tuple[Arra
 
 def mean_step(mean: Array, delta: Array, x: Array, alpha: Array, low: Array | None = None):
     """The moving average after x, delta = x - mean; exactly x where alpha is 1."""
-    new, left = toward(mean, alpha * delta, low)
-    if left is not None:
-        return jnp.where(alpha == 1, x, new), jnp.where(alpha == 1, 0, left)
+    stays, left = toward(mean, alpha * delta, low)
     # With alpha = 1 nothing of the old is left, NaN and inf included.
     gap = jnp.where((alpha == 1) & ~jnp.isfinite(delta), 0, delta)
-    return jnp.where(alpha > 0.5, x - (1 - alpha) * gap, new), None
+    fades = x - (1 - alpha) * gap
+    return jnp.where(alpha > 0.5, fades, stays), _rest(left, stays, alpha)
+
+
+def _rest(left: Array | None, stays: Array, alpha: Array) -> Array | None:
+    """What a compensated sum keeps beside the value: nothing where that fades or is infinite."""
+    return None if left is None else jnp.where((alpha > 0.5) | ~jnp.isfinite(stays), 0, left)
 
 
 def covariance_step(
@@ -86,24 +90,26 @@ def covariance_step(
         jnp.where((alpha == 1) & ~jnp.isfinite(value), 0, value) for value in (covariance, product)
     )
     fades = (1 - alpha) * held + alpha * product if lagged else (1 - alpha) * (held + alpha * counted)
-    if left is None:
-        return jnp.where(alpha > 0.5, fades, stays), None
-    return jnp.where(alpha == 1, fades, stays), jnp.where((alpha == 1) | jnp.isinf(stays), 0, left)
+    return jnp.where(alpha > 0.5, fades, stays), _rest(left, stays, alpha)
 
 
 def debias_step(debias: Array, alpha: Array, low: Array | None = None):
     """1 - sum of the squared weights, after one more sample: no difference of near numbers in it."""
     kept = 1 - alpha
-    if low is None:
-        fades = kept * (2 * alpha + kept * debias)
-        grows = debias + alpha * (2 * kept - (2 - alpha) * debias)
-        return jnp.where(alpha > 0.5, fades, grows), None
-    return toward(debias, alpha * (2 * kept - (2 - alpha) * (debias + low)), low)
+    held = debias if low is None else debias + low
+    stays, left = toward(debias, alpha * (2 * kept - (2 - alpha) * held), low)
+    fades = kept * (2 * alpha + kept * debias)
+    return jnp.where(alpha > 0.5, fades, stays), _rest(left, stays, alpha)
 
 
 def store(values: Sequence[tuple[Array, Array | None]], dtype) -> tuple[Array, ...]:
     """Values, the first of each pair, rounded to the dtype that they are kept in."""
     return tuple(value.astype(dtype) for value, _ in values)
+
+
+def within(value: Array, dtype) -> Array:
+    """A finite value kept within the dtype's range, where storing would make it infinite."""
+    return jnp.where(jnp.isfinite(value), saturate(value, dtype), value)
 
 
 def store_low(values: Sequence[tuple[Array, Array | None]], dtype) -> tuple[Array, ...]:

@@ -85,7 +85,8 @@ def update(
         state: as `init` or this function returned it.
         x: the sample: of the state's shape, a pair for "emc", vectors on the last axis for matrices.
         alpha: weight of this sample, in (0, 1], broadcast to the weights' shape. At 1 the past is
-            forgotten: the mean is x and the variance 0 (for "ewma_covariance" the squared deviation).
+            forgotten: the mean is x and the variance 0; for "ewma_covariance" the squared deviation, which
+            takes one sample more to forget a NaN.
         valid: where False the state stays as it is, bit for bit, and whatever stands in x is ignored;
             broadcast to the weights' shape.
 
@@ -137,10 +138,11 @@ def _advance(state: State, components: list[Array], alpha: Array) -> State:
         jnp.where(state.started, x - m if low is None else (x - m) - low, 0)
         for x, m, low in zip(components, old, low_mean, strict=True)
     ]
-    means = [
-        _recursion.mean_step(m, delta, x, alpha, low)
-        for m, delta, x, low in zip(old, deltas, components, low_mean, strict=True)
-    ]
+    means = []
+    for m, delta, x, low in zip(old, deltas, components, low_mean, strict=True):
+        new, rest = _recursion.mean_step(m, delta, x, alpha, low)
+        # A half format has no room for every finite sample, and an infinite mean would be NaN next.
+        means.append((_recursion.within(new, kept), rest))
     pairs = product_pairs(state.statistic, len(old))
     lagged = state.statistic == "ewma_covariance"
     products = []
@@ -184,7 +186,7 @@ def estimate(state: State, *, bias: bool = True, bounded: bool = False) -> Array
 
     Returns:
         Array of the state's shape and dtype, with two more axes (n, n) for matrices. NaN where no valid
-        sample has come, and with bias=False after the first alone.
+        sample has come, and with bias=False where only one counts: the first, or any with alpha = 1.
 
     Raises:
         ValueError: bias=False for "ewma_covariance", or bounded without a matrix.
@@ -231,7 +233,7 @@ def mean(state: State) -> Array:
 
 
 def stagnation(mean: ArrayLike, alpha: ArrayLike, dtype: DTypeLike) -> Array:
-    """Largest change of the input that a stored mean does not follow, for all that follows.
+    """Largest step up of the input that a stored mean does not follow, however long it stays.
 
     alpha |x - mean| below half a unit in the last place of the mean is lost when the sum is rounded.
 

@@ -40,8 +40,8 @@ def pilot_bias(
         "diminishes consistently" fails from 1 to 2), and 0 again for many. In the values' unit.
 
     Raises:
-        ValueError: the shapes differ, or probabilities known on the host are negative or do not sum to 1
-            within 1e-4.
+        ValueError: the shapes differ, pilot is below 1, or probabilities known on the host are negative or
+            do not sum to 1 within 1e-4.
 
     Source: dissertation Eq 2.34, after Kirk and Arvo 1991.
 
@@ -53,6 +53,8 @@ def pilot_bias(
     values, probabilities = jnp.asarray(values), jnp.asarray(probabilities)
     dtype = jnp.result_type(float, values, probabilities)
     values, probabilities = values.astype(dtype), probabilities.astype(dtype)
+    if isinstance(pilot, int | float | np.ndarray | np.generic) and np.any(np.less(pilot, 1)):
+        raise ValueError(f"pilot must be at least 1, got {pilot}")
     pilot = jnp.asarray(pilot)[..., None]
     mean = jnp.sum(probabilities * values, axis=-1, keepdims=True)
     return jnp.sum(jnp.power(probabilities, pilot) * (values - mean), axis=-1)
@@ -254,7 +256,7 @@ def _form_sums(alpha: Array, steps: Array) -> tuple[Array, Array]:
     Sums of like signs, which the same in powers of the weights is not: for a small alpha that cancels.
     """
     kept = 1 - alpha
-    first = jnp.exp(_times(steps, jnp.log1p(-alpha)))
+    first = jnp.exp(_times(steps, _log_kept(alpha)))
     # Those between the first and the newest, whose 1 - w is `kept` without a subtraction.
     between = jnp.maximum(steps - 1, 0)
     share = alpha * kept
@@ -271,11 +273,19 @@ def _times(steps: Array, log: Array) -> Array:
     return jnp.where(steps == 0, 0, steps * log)
 
 
+def _log_kept(alpha: Array) -> Array:
+    """ln(1 - alpha); for large weights not by XLA's log1p, which has lost digits there in float64."""
+    large = alpha > 0.25
+    return jnp.where(
+        large, jnp.log(1 - jnp.where(large, alpha, 0.5)), jnp.log1p(-jnp.where(large, 0.0, alpha))
+    )
+
+
 def _decayed(alpha: Array, steps: Array, power: int) -> Array:
     """1 - (1 - alpha)^(power steps)."""
-    return -jnp.expm1(_times(steps, power * jnp.log1p(-alpha)))
+    return -jnp.expm1(_times(steps, power * _log_kept(alpha)))
 
 
 def _geometric(alpha: Array, steps: Array, power: int) -> Array:
     """1 + k + k^2 + ..., as many terms as steps, k = (1 - alpha)^power."""
-    return _decayed(alpha, steps, power) / -jnp.expm1(power * jnp.log1p(-alpha))
+    return _decayed(alpha, steps, power) / -jnp.expm1(power * _log_kept(alpha))

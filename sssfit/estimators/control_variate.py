@@ -11,6 +11,9 @@ has none.
 Source: Xie and Olano 2021, section 6 and Algorithms 1-3; dissertation section 6.5 for the bound's a_0.
 """
 
+from collections.abc import Sequence
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -54,15 +57,15 @@ def coefficient(
     covariance: ArrayLike,
     *,
     epsilon: ArrayLike,
-    bound: ArrayLike | tuple[ArrayLike, ArrayLike] | None,
+    bound: ArrayLike | Sequence[ArrayLike] | None,
 ) -> Array:
     """The control's coefficient, from a covariance matrix of (f, g).
 
     Args:
         covariance: (..., 2, 2), such as `moving.emcm` returns; only the last row is read.
         epsilon: >= 0, added to both; where both vanish, as in a hard shadow, the coefficient is 1. With 0
-            that holds too, as the limit.
-        bound: the largest coefficient, the least being 0; a tuple gives both; None leaves it free.
+            it is 1 wherever the variance vanishes.
+        bound: the largest coefficient, the least being 0; a pair gives both; None leaves it free.
 
     Returns:
         (Sxy + epsilon) / (Syy + epsilon) within the bound, of the leading shape. 0 for an infinite Syy
@@ -85,11 +88,12 @@ def coefficient(
 
 def _coefficient(covariance: Array, variance: Array, epsilon: ArrayLike, bound) -> Array:
     above, below = covariance + epsilon, variance + epsilon
-    vanishing = (above == 0) & (below == 0)
+    # A control that has not varied says nothing, whatever rounding has left above it.
+    vanishing = below == 0
     ratio = jnp.where(vanishing, 1, above / jnp.where(vanishing, 1, below))
     if bound is None:
         return ratio
-    lower, upper = bound if isinstance(bound, tuple) else (0.0, bound)
+    lower, upper = bound if isinstance(bound, tuple | list) else (0.0, bound)
     return jnp.clip(ratio, lower, upper)
 
 
@@ -108,7 +112,9 @@ def residual(value: ArrayLike, control_integral: ArrayLike, coefficient: ArrayLi
         >>> float(residual(1.0, 0.5, 1.5))
         0.25
     """
-    return jnp.asarray(value) - jnp.asarray(coefficient) * jnp.asarray(control_integral)
+    integral = jnp.asarray(control_integral)
+    # In full shadow nothing is taken off, also with a coefficient that is not bounded there.
+    return jnp.asarray(value) - jnp.where(integral == 0, 0, jnp.asarray(coefficient) * integral)
 
 
 def init(
@@ -190,8 +196,9 @@ def step(state: History, observation: Observation, config: Config = ONLINE) -> t
     """One frame: coefficient, residual, history, and the count of the next frame.
 
     The coefficient comes from the frames before this one and is bounded by this frame's f and g. A pixel
-    that had no history starts from this frame: coefficient 1, variance of the residual at the target,
-    covariance 0. Where no sample was drawn, nothing is learned.
+    that had no history, or one that a NaN or an infinity has got into, starts from this frame:
+    coefficient 1, variance of the residual at the target, covariance 0. Where no sample was drawn, nothing
+    is learned.
 
     Args:
         state: as `init`, `unpack` or this function returned it.
@@ -217,13 +224,16 @@ def step(state: History, observation: Observation, config: Config = ONLINE) -> t
     value, control, integral = (
         jnp.asarray(v, wide) for v in (observation.value, observation.control, observation.control_integral)
     )
+    for name in ("value", "control", "control_integral"):
+        shape = jnp.shape(getattr(observation, name))
+        _recursion.check_fits(name, shape, state.count.mean.shape, "that is the state's")
     count = observation.count
     if count is None:
         count = sample_count.next_count(
             state.count, controller, distant_share=observation.distant_share, missing=observation.missing
         )
     learned = jnp.asarray(observation.valid) & (jnp.asarray(count) > 0)
-    found = _current(state.moments, value, control, config, observation.missing)
+    found = _current(state.moments, value, control, config, jnp.asarray(observation.missing))
     left = residual(value, integral, jnp.broadcast_to(found, state.count.mean.shape))
     counted = sample_count.update(
         state.count, left, count, controller, missing=observation.missing, valid=observation.valid
@@ -233,16 +243,16 @@ def step(state: History, observation: Observation, config: Config = ONLINE) -> t
         new = _after(
             moments, jnp.where(learned, value, 0), jnp.where(learned, control, 0), config, observation
         )
-        moments = _recursion.choose(learned, new, moments)
+        nothing = jax.tree.map(jnp.zeros_like, moments)
+        old = _recursion.choose(jnp.asarray(observation.missing), nothing, moments)
+        moments = _recursion.choose(learned, new, old)
     following = observation.next_distant_share
     following = observation.distant_share if following is None else following
     asked = sample_count.next_count(counted, controller, distant_share=following)
     return History(counted, moments), Info(jnp.broadcast_to(found, left.shape), left, asked)
 
 
-def _current(
-    moments: Moments | None, value: Array, control: Array, config: Config, missing: ArrayLike
-) -> Array:
+def _current(moments: Moments | None, value: Array, control: Array, config: Config, missing: Array) -> Array:
     """The coefficient of this frame, from the moments before it."""
     if config.constant is not None:
         return jnp.asarray(config.constant, value.dtype)
@@ -252,7 +262,8 @@ def _current(
         )
     bound = upper_bound(value, control, bound_offset=config.bound_offset)
     covariance, variance = (
-        jnp.where(missing, 0, v.astype(value.dtype)) for v in (moments.covariance, moments.control_variance)
+        jnp.where(missing | moments.is_lost, 0, v.astype(value.dtype))
+        for v in (moments.covariance, moments.control_variance)
     )
     return _coefficient(covariance, variance, config.epsilon, bound)
 
@@ -262,7 +273,8 @@ def _after(
 ) -> Moments:
     """The moments after a frame."""
     kept, wide = moments.covariance.dtype, value.dtype
-    alpha = jnp.where(observation.missing, 1, jnp.asarray(config.alpha, wide))
+    fresh = jnp.asarray(observation.missing) | moments.is_lost
+    alpha = jnp.where(fresh, 1, jnp.asarray(config.alpha, wide))
     value_mean, control_mean = moments.value_mean.astype(wide), moments.control_mean.astype(wide)
     # A control that stays must not vary by what storing its mean rounds off: the coefficient would be noise.
     control = control.astype(kept).astype(wide)
@@ -279,4 +291,7 @@ def _after(
         product(moments.control_variance, of_control, of_control),
         None if variance is None else product(variance, of_value, of_value),
     )
-    return jax.tree.map(lambda v: v.astype(kept), new)
+    # As in the sample count's history, what is too large for the format stays at its largest number.
+    new = jax.tree.map(lambda v: _recursion.within(v, kept).astype(kept), new)
+    bad = ~(jnp.isfinite(value) & jnp.isfinite(control))
+    return eqx.tree_at(lambda m: m.covariance, new, jnp.where(bad, jnp.nan, new.covariance))

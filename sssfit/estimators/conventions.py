@@ -10,9 +10,12 @@ pandas' defaults are `adjust=True`, which weighs the first samples like all othe
 the weights, and `bias=False`, which divides variances by 1 minus the sum of the squared weights.
 """
 
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
@@ -28,12 +31,16 @@ def alpha_from_span(span: ArrayLike) -> Array:
     Returns:
         2 / (span + 1).
 
+    Raises:
+        ValueError: a span known on the host is out of its domain.
+
     Source: pandas' `ewm(span=...)`; Xie et al. 2020, section 4.1.2, k = 2 / alpha - 1.
 
     Example:
         >>> round(float(alpha_from_span(9.0)), 6)
         0.2
     """
+    _check_on_host("span", span, "at least 1", np.greater_equal, 1)
     return 2 / (jnp.asarray(span) + 1.0)
 
 
@@ -46,12 +53,16 @@ def alpha_from_center_of_mass(center_of_mass: ArrayLike) -> Array:
     Returns:
         1 / (1 + center_of_mass).
 
+    Raises:
+        ValueError: a center_of_mass known on the host is out of its domain.
+
     Source: pandas' `ewm(com=...)`.
 
     Example:
         >>> round(float(alpha_from_center_of_mass(4.0)), 6)
         0.2
     """
+    _check_on_host("center_of_mass", center_of_mass, "at least 0", np.greater_equal, 0)
     return 1 / (1.0 + jnp.asarray(center_of_mass))
 
 
@@ -64,12 +75,16 @@ def alpha_from_halflife(halflife: ArrayLike) -> Array:
     Returns:
         1 - exp(-ln 2 / halflife), without the loss of digits for long ones.
 
+    Raises:
+        ValueError: a halflife known on the host is out of its domain.
+
     Source: pandas' `ewm(halflife=...)`.
 
     Example:
         >>> float(alpha_from_halflife(1.0))
         0.5
     """
+    _check_on_host("halflife", halflife, "above 0", np.greater, 0)
     return -jnp.expm1(-jnp.log(2.0) / jnp.asarray(halflife))
 
 
@@ -82,12 +97,17 @@ def alpha_from_decay(decay: ArrayLike) -> Array:
     Returns:
         1 - decay.
 
+    Raises:
+        ValueError: a decay known on the host is out of its domain.
+
     Source: RiskMetrics Technical Document, 1996, section 5.2: 0.94 for days, 0.97 for months.
 
     Example:
         >>> round(float(alpha_from_decay(0.94)), 6)
         0.06
     """
+    _check_on_host("decay", decay, "at least 0", np.greater_equal, 0)
+    _check_on_host("decay", decay, "below 1", np.less, 1)
     return 1.0 - jnp.asarray(decay)
 
 
@@ -103,13 +123,23 @@ def alpha_from_fading_factor(fading_factor: ArrayLike) -> Array:
     Returns:
         The same.
 
+    Raises:
+        ValueError: a fading_factor known on the host is out of its domain.
+
     Source: river's `stats.EWMean`.
 
     Example:
         >>> float(alpha_from_fading_factor(0.5))
         0.5
     """
+    _recursion.check_alpha(fading_factor)
     return jnp.asarray(fading_factor)
+
+
+def _check_on_host(name: str, value: ArrayLike, requirement: str, holds: np.ufunc, limit: float) -> None:
+    """Raise where a value known on the host is out of its domain; traced and device values pass."""
+    if isinstance(value, int | float | np.ndarray | np.generic) and not np.all(holds(value, limit)):
+        raise ValueError(f"{name} must be {requirement}, got {value}")
 
 
 class Ewm(NamedTuple):
@@ -151,17 +181,26 @@ def pandas_ewm(zs: ArrayLike, alpha: ArrayLike, *, adjust: bool = True, bias: bo
     if jnp.ndim(alpha) != 0:
         raise ValueError(f"alpha must be one number for pandas' convention, got shape {jnp.shape(alpha)}")
     zs = jnp.asarray(zs, jnp.result_type(float, zs))
+    if len(zs) == 0:
+        raise ValueError("zs must have at least one vector, got none")
     wide = _recursion.computing_dtype(zs.dtype)
     alpha = jnp.asarray(alpha, wide)
     number = jnp.arange(1, len(zs) + 1, dtype=wide)
     adjusted = alpha / -jnp.expm1(number * jnp.log1p(-alpha)) if adjust else jnp.full_like(number, alpha)
+
+    return _weighted(zs, adjusted, bias=bias)
+
+
+@partial(jax.jit, static_argnames="bias")
+def _weighted(zs: Array, alphas: Array, *, bias: bool) -> Ewm:
+    """Moments after each vector, each with a weight of its own."""
 
     def step(state: moving.State, item):
         z, weight = item
         state = moving.update(state, z, alpha=weight)
         return state, Ewm(moving.mean(state), moving.estimate(state, bias=bias))
 
-    return lax.scan(step, moving.init("emcm", zs[0], weights_shape=()), (zs, adjusted))[1]
+    return lax.scan(step, moving.init("emcm", zs[0], weights_shape=()), (zs, alphas))[1]
 
 
 def riskmetrics(returns: ArrayLike, *, decay: ArrayLike = 0.94) -> Array:
@@ -182,7 +221,8 @@ def riskmetrics(returns: ArrayLike, *, decay: ArrayLike = 0.94) -> Array:
         >>> riskmetrics(jnp.array([[1.0], [2.0], [0.0]]), decay=0.5)[:, 0, 0].tolist()
         [nan, 1.0, 2.5]
     """
-    returns = jnp.asarray(returns, jnp.result_type(float, returns))
+    dtype = jnp.result_type(float, returns)
+    returns = jnp.asarray(returns, _recursion.computing_dtype(dtype))
     products = returns[..., :, None] * returns[..., None, :]
     forecasts = moving.ema(products[:-1], alpha_from_decay(decay))
-    return jnp.concatenate([jnp.full_like(products[:1], jnp.nan), forecasts])
+    return jnp.concatenate([jnp.full_like(products[:1], jnp.nan), forecasts]).astype(dtype)

@@ -28,7 +28,7 @@ def target_variance(
         sample_variance: largest variance of single samples to be met, with the divisor n, in the squared
             unit of what is sampled.
         max_spp: the most samples of a pixel, >= 2.
-        confidence: probability, in (0, 1), that max_spp samples of that variance have a mean of at most
+        confidence: probability, in (0, 1), that the mean of max_spp samples of that variance has at most
             the returned variance; for normal samples. It does not hold for two-valued ones.
 
     Returns:
@@ -178,8 +178,8 @@ def frames_to_converge(
         alpha: weight of the newest frame, in (0, 1).
 
     Returns:
-        Smallest whole number of frames from which on it stays there, as a float; 1 where it never is
-        above; inf where frame_variance is above what the target allows, target (2 - alpha) / (2 - 2 alpha).
+        Whole number of frames from which on it stays there, as a float; 1 where it never is above; inf
+        where frame_variance is above what the target allows, target (2 - alpha) / (2 - 2 alpha).
 
     Source: expectation of Xie et al. 2020, Eq 9, from zero, derived here.
 

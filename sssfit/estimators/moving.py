@@ -78,9 +78,9 @@ def emv(xs: ArrayLike, alpha: ArrayLike, *, method: Method = "scan") -> Array:
         method: as for `ema`.
 
     Returns:
-        The variance after each sample, >= 0, of xs' shape and dtype; the first is 0. Its error is below
-        8 T eps times the weighted mean of x^2, whatever the mean of x; only what the mean has not
-        followed (`stagnation`) enters it, squared. For independent
+        The variance after each sample, >= 0, of xs' shape and dtype; the first is 0. Where the mean is off
+        by d, it is off by 2 sqrt(S) d + d^2, S the largest so far, and by 4.5 min(T, 1 / alpha) eps S of
+        its own rounding. For independent
         samples of variance V it expects V (1 - sum of squared weights), 8/9 V in the long run at
         alpha = 0.2; see `sssfit.estimators.bias`.
 
@@ -184,6 +184,7 @@ def scan(
     bounded: bool = False,
     dtype: DTypeLike | None = None,
     compensated: bool = False,
+    state: State | None = None,
 ) -> tuple[State, Array]:
     """Update by a whole stream, one sample after the other.
 
@@ -191,9 +192,10 @@ def scan(
         statistic: as for `init`.
         xs: samples with time on axis 0, a pair of such arrays for "emc".
         alpha: weight of the newest sample, broadcast to one sample's shape.
-        valid: which samples count, broadcast to `xs` (without the vectors' axis).
+        valid: which samples count: (T,) for whole times, or with the axes of `xs` (without the vectors').
         bias, bounded: as for `estimate`.
         dtype, compensated: as for `init`.
+        state: where to go on from, as this function returned it; the two before are then the state's.
 
     Returns:
         The last state, and the estimates after each sample, time on axis 0 and as long as xs.
@@ -208,19 +210,17 @@ def scan(
         >>> variances.tolist()
         [0.0, 0.25, 1.6875]
     """
-    _recursion.check_alpha(alpha)
-    xs = _stream(statistic, xs)
-    shared = valid is None and jnp.ndim(alpha) == 0
-    state = init(
-        statistic,
-        jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), xs),
-        dtype=dtype,
-        compensated=compensated,
-        weights_shape=() if shared else None,
-    )
-    if valid is not None:
-        times = len(jax.tree.leaves(xs)[0])
-        valid = jnp.broadcast_to(jnp.asarray(valid), (times, *state.started.shape))
+    xs, alpha, valid = _stream(statistic, xs, alpha, valid)
+    if state is None:
+        state = init(
+            statistic,
+            jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), xs),
+            dtype=dtype,
+            compensated=compensated,
+            weights_shape=() if valid is None and alpha.ndim == 0 else None,
+        )
+    elif state.statistic != statistic:
+        raise ValueError(f"state is of {state.statistic!r}, not of {statistic!r}")
 
     return _scanned(state, xs, alpha, valid, bias=bias, bounded=bounded)
 
@@ -264,15 +264,11 @@ def associative(
         >>> associative("emv", jnp.array([1.0, 2.0, 4.0]), 0.5).tolist()
         [0.0, 0.25, 1.6875]
     """
-    _recursion.check_alpha(alpha)
-    xs = _stream(statistic, xs)
+    xs, alpha, valid = _stream(statistic, xs, alpha, valid)
     like = init(statistic, jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), xs))
     kept, wide = like.mean[0].dtype, like.debias.dtype
     components = [c.astype(wide) for c in components_of(statistic, xs)]
-    if valid is not None:
-        valid = jnp.broadcast_to(jnp.asarray(valid), components[0].shape)
-    weight = jnp.asarray(alpha, wide)
-    weight = weight.reshape((1,) * (components[0].ndim - weight.ndim) + weight.shape)
+    weight = alpha.astype(wide).reshape((1,) * (components[0].ndim - alpha.ndim) + alpha.shape)
     means, products, debias, started = _associative.moments(statistic, components, weight, valid)
     state = State(
         tuple(m.astype(kept) for m in means),
@@ -285,16 +281,24 @@ def associative(
     return estimate(state, bias=bias, bounded=bounded)
 
 
-def _stream(statistic: Statistic, xs: ArrayLike | Sequence):
-    """A stream as arrays of one floating dtype, refused where it has no time axis."""
-    if statistic == "emc":
-        xs = tuple(components_of(statistic, xs))
-    else:
-        xs = floating(xs)
-    needed = 2 if statistic in MATRICES else 1
-    if jax.tree.leaves(xs)[0].ndim < needed:
-        raise ValueError(f"xs must have time on axis 0 and, for matrices, vectors on the last, got {xs}")
-    return xs
+def _stream(statistic: Statistic, xs: ArrayLike | Sequence, alpha, valid):
+    """A stream, its weights and its mask as arrays; refused where they do not go together."""
+    _recursion.check_alpha(alpha)
+    xs = tuple(components_of(statistic, xs)) if statistic == "emc" else floating(xs)
+    whole = jax.tree.leaves(xs)[0].shape
+    if len(whole) < (2 if statistic in MATRICES else 1):
+        vectors = " and vectors on the last" if statistic in MATRICES else ""
+        raise ValueError(f"xs must have time on axis 0{vectors}, got shape {whole}")
+    sample = whole[1:-1] if statistic in MATRICES else whole[1:]
+    alpha = floating(alpha)
+    _recursion.check_fits("alpha", alpha.shape, sample, "that is one sample's")
+    if valid is None:
+        return xs, alpha, None
+    valid = jnp.asarray(valid)
+    # One axis is time, also where samples happen to be as many.
+    valid = valid.reshape(valid.shape + (1,) * len(sample)) if valid.ndim == 1 else valid
+    _recursion.check_fits("valid", valid.shape, (whole[0], *sample), "that is time and one sample's")
+    return xs, alpha, jnp.broadcast_to(valid, (whole[0], *sample))
 
 
 def _whole(statistic: Statistic, xs, alpha: ArrayLike, method: Method, bounded: bool = False) -> Array:

@@ -7,8 +7,8 @@ correction: with relative deviations small, the count then follows its neutral p
 (1 - alpha)(1 - 2 kappa) a frame, so that it overshoots from kappa = 1/2 on; see `count_prediction`.
 
 Counts, variances and targets are of one pixel or of maps of them, of any shapes that broadcast; variances are
-in the squared unit of what is tracked, counts in samples per pixel. NaN in a history gives a NaN count,
-which `round_count` draws no samples for.
+in the squared unit of what is tracked, counts in samples per pixel. A history that a NaN or an infinity
+has got into counts as missing: the pixel starts afresh with the next frame.
 
 Source: Xie et al. 2020, Eq 7-17; Xie and Olano 2021, Eq 5-10 and 18, Algorithm 1; Unreal Engine's
 BurleyNormalizedSSSCommon.ush.
@@ -206,7 +206,8 @@ def next_count(
         history: what it is decided from.
         controller: its constants.
         distant_share: see `distant_share`; 0 samples below the controller's threshold.
-        missing: where the history is not this pixel's and is not looked at, as if it were all zeros.
+        missing: where the history is not this pixel's and is not looked at, as if it were all zeros; so
+            is one with a NaN or an infinity in it.
 
     Returns:
         int32 within the controller's bounds, or 0.
@@ -220,7 +221,8 @@ def next_count(
     """
     wide = _recursion.computing_dtype(history.variance.dtype)
     mean_count, variance = (
-        jnp.where(missing, 0, jnp.asarray(v, wide)) for v in (history.mean_count, history.variance)
+        jnp.where(missing | history.is_lost, 0, jnp.asarray(v, wide))
+        for v in (history.mean_count, history.variance)
     )
     limits = {"min_spp": controller.min_spp, "max_spp": controller.max_spp}
     target = {"target_variance": jnp.asarray(controller.target_variance, wide)}
@@ -251,11 +253,12 @@ def update(
         count: samples drawn for it. Where 0, nothing was learned and the history stays.
         controller: its constants.
         missing: where the pixel had no history, such as a surface just uncovered: the frame then weighs 1
-            and the variance starts from the target (or zero).
-        valid: where False the history stays as it is, bit for bit.
+            and the variance starts from the target (or zero). Where nothing is learned from it either, what
+            is left is a history of nothing.
+        valid: where False the history stays as it is, bit for bit, unless it was missing.
 
     Returns:
-        A `History` of the same shape and dtype.
+        A `History` of the same shape and dtype. What does not fit the dtype stays at its largest number.
 
     Raises:
         ValueError: value, count, missing or valid do not broadcast to the history's shape.
@@ -273,7 +276,8 @@ def update(
     wide = _recursion.computing_dtype(kept)
     learned = jnp.asarray(valid) & (jnp.asarray(count) > 0)
     value = jnp.where(learned, jnp.asarray(value, wide), 0)
-    alpha = jnp.where(missing, 1, jnp.asarray(controller.alpha, wide))
+    fresh = jnp.asarray(missing) | history.is_lost
+    alpha = jnp.where(fresh, 1, jnp.asarray(controller.alpha, wide))
     mean = history.mean.astype(wide)
     delta = value - mean
     new_mean, _ = _recursion.mean_step(mean, delta, value, alpha)
@@ -281,7 +285,11 @@ def update(
     counted = history.mean_count.astype(wide)
     new_count, _ = _recursion.mean_step(counted, drawn - counted, drawn, alpha)
     variance, _ = _recursion.covariance_step(history.variance.astype(wide), delta, delta, alpha, lagged=False)
-    fresh = controller.target_variance if controller.variance_when_missing == "target" else 0.0
-    variance = jnp.where(missing, jnp.asarray(fresh, wide), variance)
-    new = History(*(jnp.asarray(v, kept) for v in (new_count, new_mean, variance)))
-    return _recursion.choose(learned, new, history)
+    start = controller.target_variance if controller.variance_when_missing == "target" else 0.0
+    variance = jnp.where(fresh, jnp.asarray(start, wide), variance)
+    # One sample too bright for the format, or for its square, must not decide for ever.
+    variance = jnp.where(jnp.isfinite(value), _recursion.saturate(variance, kept), jnp.nan)
+    stored = (_recursion.within(v, kept) for v in (new_count, new_mean))
+    new = History(*(v.astype(kept) for v in (*stored, variance)))
+    nothing = History(*(jnp.zeros_like(v) for v in (new.mean_count, new.mean, new.variance)))
+    return _recursion.choose(learned, new, _recursion.choose(jnp.asarray(missing), nothing, history))

@@ -83,8 +83,9 @@ def matrix(covariance, variance, dtype):
         (0.0, 0.0, 0.0, None, 1.0),
         (0.0, 0.0, 0.0, 0.5, 0.5),
         (0.0, 1.0, 0.0, None, 0.0),
-        (1.0, 0.0, 0.0, None, np.inf),
-        (1.0, 0.0, 0.0, 2.0, 2.0),
+        # A variance that has underflowed beside a covariance that has not.
+        (1.0, 0.0, 0.0, None, 1.0),
+        (1.0, 0.0, 0.0, 0.5, 0.5),
         (0.5, np.inf, 1e-6, None, 0.0),
         (0.5, np.inf, 0.0, 2.0, 0.0),
         (np.nan, 1.0, 0.0, 2.0, np.nan),
@@ -395,11 +396,13 @@ def test_nothing_is_learned_from_an_invalid_or_unsampled_frame(dtype, config, va
     filled = jax.tree.map(lambda part: part + 0.1, filled)
     seen = dtype.type(value)
     # One signature, compiled once.
+    empty = jax.tree.map(jnp.zeros_like, filled)
     for count, missing, valid in ((8, False, False), (8, True, False), (0, False, True), (0, True, True)):
         frame = Observation(
             seen, seen, seen, np.int32(count), dtype.type(1), np.bool_(missing), np.bool_(valid)
         )
-        leaves_equal(step(filled, frame, config)[0], filled)
+        # Of another surface's history nothing stays.
+        leaves_equal(step(filled, frame, config)[0], empty if missing else filled)
     frame = Observation(seen, seen, seen, distant_share=np.nextafter(dtype.type(0.01), dtype.type(0)))
     state, info = step(filled, frame, config)
     leaves_equal(state, filled)
@@ -432,7 +435,28 @@ def test_a_control_that_stays_has_no_variance_in_half_formats(stored):
         frame = Observation(value, np.float32(0.4), np.float32(0.4), 20, missing=t == 0)
         state, info = step(state, frame, ONLINE)
         assert float(info.coefficient) == 1
+    assert state.moments is not None
     assert float(state.moments.covariance) == float(state.moments.control_variance) == 0
+
+
+@pytest.mark.parametrize("bad", ["value", "control"])
+def test_a_bad_frame_costs_one(dtype, bad):
+    good = Observation(dtype.type(0.4), dtype.type(0.5), dtype.type(0.5), 8)
+    state, _ = step(control_variate.init(jnp.zeros((), dtype)), good, ONLINE)
+    broken = Observation(**{**dict(value=0.4, control=0.5, control_integral=0.5, count=8), bad: np.nan})
+    state, _ = step(state, broken, ONLINE)
+    state, info = step(state, good, ONLINE)
+    # The coefficient of a pixel without a history, and a residual that is finite again.
+    assert float(info.coefficient) == 1 and np.isfinite(float(info.residual))
+    assert np.all(np.isfinite(control_variate.pack(state)))
+
+
+def test_a_shape_that_does_not_fit_is_refused():
+    state = control_variate.init(jnp.zeros(4))
+    for name in ("value", "control", "control_integral"):
+        given = {**dict(value=1.0, control=1.0, control_integral=1.0), name: np.ones(3)}
+        with pytest.raises(ValueError, match=rf"{name} must broadcast to the shape \(4,\), got \(3,\)"):
+            control_variate.step(state, Observation(**given))
 
 
 def test_the_residual_takes_the_integral_and_the_covariance_the_sample(dtype):

@@ -300,7 +300,7 @@ def test_unreal_divides_the_variance_by_its_target(dtype):
     variance = np.array([0, 5e-4, 8.4e-4, 0.00321, 0.0064, 0.1, np.inf, np.nan], dtype)
     for mean_count in (0, 8, 50):
         history = History(jnp.full(8, mean_count, dtype), jnp.ones(8, dtype), jnp.asarray(variance))
-        np.testing.assert_array_equal(next_count(history, UNREAL), [8, 8, 8, 32, 64, 64, 64, 0])
+        np.testing.assert_array_equal(next_count(history, UNREAL), [8, 8, 8, 32, 64, 64, 64, 8])
 
 
 def test_rounding_of_the_next_count_and_its_bounds(dtype):
@@ -323,8 +323,9 @@ def test_no_samples_without_distant_light_or_knowledge(dtype):
     np.testing.assert_array_equal(next_count(history, PAPER_2021, distant_share=share), [0, 8, 8])
     # The 2020 paper knows no such threshold.
     np.testing.assert_array_equal(next_count(history, PAPER_2020, distant_share=0.0), 8)
+    # What a NaN has got into counts as missing.
     lost = jax.tree.map(lambda part: part * jnp.nan, history)
-    np.testing.assert_array_equal(next_count(lost, PAPER_2021), 0)
+    np.testing.assert_array_equal(next_count(lost, PAPER_2021), 8)
 
 
 def test_counts_from_a_half_precision_history_need_no_half_precision_target():
@@ -396,13 +397,41 @@ def same_bits(found, expected):
     return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() and a.dtype == b.dtype for a, b in pairs)
 
 
-@pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("value", [1.0, np.nan, np.inf])
-def test_nothing_is_learned_from_an_invalid_or_unsampled_frame(dtype, value, missing):
+def test_nothing_is_learned_from_an_invalid_or_unsampled_frame(dtype, value):
     history = History(*(jnp.asarray(v, dtype) for v in (np.pi, -0.0, np.e)))
     value = dtype.type(value)
-    assert same_bits(update(history, value, 8, PAPER_2021, missing=missing, valid=False), history)
-    assert same_bits(update(history, value, 0, PAPER_2021, missing=missing), history)
+    assert same_bits(update(history, value, 8, PAPER_2021, valid=False), history)
+    assert same_bits(update(history, value, 0, PAPER_2021), history)
+    # Another surface's history must not stay where nothing replaces it.
+    for count, valid in ((8, False), (0, True)):
+        left = update(history, value, count, PAPER_2021, missing=True, valid=valid)
+        assert same_bits(left, sample_count.init(jnp.zeros((), dtype)))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_bad_value_costs_one_frame(dtype, bad):
+    history = update(sample_count.init(jnp.zeros((), dtype)), dtype.type(1), 20, PAPER_2021, missing=True)
+    history = update(history, dtype.type(bad), 20, PAPER_2021)
+    assert not np.isfinite(float(history.mean)) and bool(history.is_lost)
+    # As after a disocclusion.
+    assert int(next_count(history, PAPER_2021)) == 8
+    fresh = update(history, dtype.type(1), 8, PAPER_2021)
+    assert same_bits(fresh, update(history, dtype.type(1), 8, PAPER_2021, missing=True))
+    assert float(fresh.mean) == 1 and not bool(fresh.is_lost)
+
+
+@pytest.mark.parametrize("stored", [jnp.float16, jnp.float32])
+def test_one_sample_too_bright_for_the_format_is_forgotten(stored):
+    history = sample_count.init(0.0, dtype=stored)
+    counts = []
+    for t in range(600):
+        # Its square, and for half the value itself, is beyond the largest number.
+        value = np.float32(1e30 if t == 5 else 1)
+        history = update(history, value, 16, PAPER_2021, missing=t == 0)
+        assert all(np.isfinite(float(part)) for part in jax.tree.leaves(history))
+        counts.append(int(next_count(history, PAPER_2021)))
+    assert counts[5] == 64 and counts[-1] == 8
 
 
 def test_maps_learn_where_they_may(dtype):
@@ -540,7 +569,8 @@ def test_gradients_by_hand(dtype):
         (dict(kappa=-0.1), r"kappa must be in \[0, 1\], got -0.1"),
         (dict(kappa=np.nan), r"kappa must be in \[0, 1\], got nan"),
         (dict(target_variance=0.0), "target_variance must be above 0, got 0.0"),
-        (dict(min_spp=-1), "min_spp must be at least 0, got -1"),
+        (dict(min_spp=0), "min_spp must be at least 1, got 0"),
+        (dict(distant_threshold=-0.1), "distant_threshold must be at least 0, got -0.1"),
         (dict(min_spp=65), "min_spp must not exceed max_spp, got 65 and 64"),
         (dict(metric="basic"), "metric must be one of accumulated, variance_ratio, got 'basic'"),
         (dict(variance_when_missing="one"), "variance_when_missing must be 'target' or 'zero', got 'one'"),
