@@ -122,6 +122,7 @@ def some_frames(module):
     return [frames[kind] for kind in kinds]
 
 
+@pytest.mark.slow
 def test_frames_are_updated_in_turns_and_in_place(load):
     module = load("moving_frames")
     for frame in some_frames(module):
@@ -158,6 +159,7 @@ def test_a_copy_uses_all_that_it_reads(load):
         assert sizes[0] == sizes[1]
 
 
+@pytest.mark.slow
 def test_moving_frames(load, page, monkeypatch):
     frames = load("moving_frames")
     chosen = some_frames(frames)
@@ -176,6 +178,7 @@ def test_moving_frames(load, page, monkeypatch):
     assert "| `sample_count` | float32 | 20 + 12 |" in page.read_text()
 
 
+@pytest.mark.slow
 def test_moving_streams(load, page):
     pytest.importorskip("pandas", reason="pandas is not installed: pip install sssfit[bench]")
     pytest.importorskip("river", reason="river is not installed: pip install sssfit[bench]")
@@ -189,6 +192,7 @@ def test_moving_streams(load, page):
     assert page.read_text().count("| river | 3 |") == 1
 
 
+@pytest.mark.slow
 def test_moving_lengths(load, page, tmp_path, monkeypatch):
     module = load("moving")
     monkeypatch.setattr(module, "STREAMS", dict.fromkeys((1, 16), "black"))
