@@ -12,7 +12,7 @@ _HELP = """\
 Measure the moving moments at the extremes: weights from 1e-6 to 1, large means, values whose squares
 underflow or overflow, constant and alternating input, ten million updates, nearly collinear vectors, NaN and
 inf, and where half formats stop following. Each line has the bound that rounding implies and the value
-measured on this machine; it takes about a minute. Exit code 0 if all bounds hold, else 1.
+measured on this machine; it takes about half a minute. Exit code 0 if all bounds hold, else 1.
 """
 #: Samples of the long streams with --quick.
 _QUICK = 100_000

@@ -108,6 +108,7 @@ def test_products_that_overflow_make_no_nan(statistic, method, dtype):
 
 
 def test_a_table_of_some_cases_and_unknown_ones():
+    assert list(stability.table([])) == []
     rows = list(stability.table(["coefficient"]))
     assert [row.dtype for row in rows] == list(stability.DTYPES)
     with pytest.raises(ValueError, match="cases must be some of weights, .* got nothing"):
