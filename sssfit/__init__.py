@@ -15,11 +15,12 @@ if TYPE_CHECKING:
     from sssfit import fitting as fitting
     from sssfit import profiles as profiles
     from sssfit import sampling as sampling
+    from sssfit import scenarios as scenarios
     from sssfit import tables as tables
 
 __version__ = _version("sssfit")
 
-_TOPICS = ("estimators", "files", "fitting", "profiles", "sampling", "tables")
+_TOPICS = ("estimators", "files", "fitting", "profiles", "sampling", "scenarios", "tables")
 
 
 def __getattr__(name: str):

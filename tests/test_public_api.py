@@ -8,15 +8,28 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "sssfit"
 # The command line's interface is its --help, which its own tests read.
-LIBRARY = ("files", "profiles", "sampling", "estimators", "fitting", "tables")
+LIBRARY = (
+    *("files", "profiles", "sampling", "estimators", "fitting", "scenarios", "tables"),
+    "reproduction.py",
+)
 # Modules whose functions compute published or derived formulas.
 FORMULAS = (
     *(f"profiles/{name}.py" for name in ("burley", "dipole", "gaussian_sum", "separable")),
     "sampling/inverse_cdf.py",
+    "sampling/sequences.py",
     *(
         f"estimators/{name}.py"
-        for name in ("bias", "control_variate", "conventions", "count_prediction", "moving", "sample_count")
+        for name in (
+            "bias",
+            "control_variate",
+            "conventions",
+            "count_prediction",
+            "in_frame",
+            "moving",
+            "sample_count",
+        )
     ),
+    *(f"scenarios/{name}.py" for name in ("batch_mean", "circle", "light", "line")),
     *(
         f"tables/{name}.py"
         for name in ("curvature", "falloff", "kernel", "radius", "shadow", "transmittance")
@@ -124,7 +137,8 @@ def test_the_topics_hold_what_they_name():
     from sssfit import profiles, sampling
 
     assert sssfit.profiles is profiles and sssfit.sampling is sampling
-    assert {"estimators", "files", "fitting", "profiles", "sampling", "tables"} <= set(dir(sssfit))
+    topics = {"estimators", "files", "fitting", "profiles", "sampling", "scenarios", "tables"}
+    assert topics <= set(dir(sssfit))
     with pytest.raises(AttributeError, match="module 'sssfit' has no attribute 'nothing'"):
         sssfit.nothing  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]
     for name in ("burley", "dipole", "gaussian_sum", "materials", "separable"):

@@ -31,6 +31,16 @@ def _check(value, name: str, requirement: str, holds) -> None:
         raise ValueError(f"{name} must be {requirement}, got {value}")
 
 
+def check_constants(controller, *, least_spp: int) -> None:
+    """Raise where what every controller has is known to be out of its domain."""
+    check_rounding(controller.rounding)
+    _check(controller.target_variance, "target_variance", "above 0", lambda v: v > 0)
+    low, high = controller.min_spp, controller.max_spp
+    _check(low, "min_spp", f"at least {least_spp}", lambda v: v >= least_spp)
+    if _on_host(low) and _on_host(high) and np.any(np.greater(low, high)):
+        raise ValueError(f"min_spp must not exceed max_spp, got {low} and {high}")
+
+
 class Controller(eqx.Module):
     """The constants of a sample-count controller, numbers or maps, all of them open to `vmap` and `grad`.
 
@@ -64,18 +74,10 @@ class Controller(eqx.Module):
             raise ValueError(
                 f"variance_when_missing must be 'target' or 'zero', got {self.variance_when_missing!r}"
             )
-        check_rounding(self.rounding)
-        _check(self.target_variance, "target_variance", "above 0", lambda v: v > 0)
-        _check(self.kappa, "kappa", "in [0, 1]", lambda v: (v >= 0) & (v <= 1))
         # A pixel without samples would never learn that it needs some.
-        _check(self.min_spp, "min_spp", "at least 1", lambda v: v >= 1)
+        check_constants(self, least_spp=1)
+        _check(self.kappa, "kappa", "in [0, 1]", lambda v: (v >= 0) & (v <= 1))
         _check(self.distant_threshold, "distant_threshold", "at least 0", lambda v: v >= 0)
-        if (
-            _on_host(self.min_spp)
-            and _on_host(self.max_spp)
-            and np.any(np.greater(self.min_spp, self.max_spp))
-        ):
-            raise ValueError(f"min_spp must not exceed max_spp, got {self.min_spp} and {self.max_spp}")
 
 
 #: The 2020 paper's setting for its comparison of quality (Fig 9): target 0.001, alpha 0.2, kappa 0.2.

@@ -1,0 +1,314 @@
+"""From frame to frame: count, sample, learn; for one pixel or a line of them, one seed or thousands.
+
+A *world* knows its samples' values and its exact answers (`circle`, `line`); a *policy* decides how many
+samples are drawn and learns from them (`policies`). `step` does one frame. `run` does all frames of many
+seeds by one compiled scan, a chunk of seeds at a time so that memory stays bounded.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, Protocol, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from sssfit.sampling import sequences
+
+Start = Literal["cold", "disocclusion"]
+STARTS: tuple[Start, ...] = get_args(Start)
+Sequence = Literal["iid", "r2"]
+SEQUENCES: tuple[Sequence, ...] = get_args(Sequence)
+
+#: Samples drawn at a time: enough to keep a core's vector units busy for a single pixel.
+_BLOCK = 8
+#: Trajectory numbers of one chunk of seeds; some 80 MB in float32.
+_CHUNK_NUMBERS = 20_000_000
+
+
+class World(Protocol):
+    """What a scenario offers. Arrays of answers have the shape (frames, *pixels).
+
+    Attributes:
+        truth: the exact result of each pixel and frame.
+        sample_variance: variance of one independent sample.
+        control: the light on the pixel itself, known before a sample is drawn.
+        surround: the mean light around it, as a coarser level of the lighting has it, also known.
+    """
+
+    truth: Array
+    sample_variance: Array
+    control: Array
+    surround: Array
+
+    def values(self, uniform: Array, frame: Array) -> Array:
+        """Values, (n, *pixels), of the samples at the points (2, n, *pixels) of the unit square."""
+        ...
+
+
+class Known(NamedTuple):
+    """What is known of a frame before it is sampled, arrays of the pixels' shape.
+
+    Attributes:
+        control, surround: as in `World`.
+        sample_variance: the exact one, for an oracle alone.
+        missing: whether the pixels have no history.
+    """
+
+    control: Array
+    surround: Array
+    sample_variance: Array
+    missing: Array
+
+
+class Sampled(NamedTuple):
+    """What a frame's samples brought, arrays of the pixels' shape.
+
+    Attributes:
+        count: how many there were.
+        mean: their mean, the frame's result.
+        square_deviation: sum of their squared deviations from it.
+    """
+
+    count: Array
+    mean: Array
+    square_deviation: Array
+
+
+class Learned(NamedTuple):
+    """What a policy remembers after a frame, for the record.
+
+    Attributes:
+        mean: its moving mean.
+        variance: the variance of a frame's result that it believes in.
+        coefficient: of the control.
+    """
+
+    mean: Array
+    variance: Array
+    coefficient: Array
+
+
+class Policy(Protocol):
+    """How many samples, and what is learned from them."""
+
+    def init(self, like: Array) -> Any:
+        """The memory before the first frame."""
+        ...
+
+    def count(self, state: Any, known: Known) -> Array:
+        """How many samples each pixel draws, int32."""
+        ...
+
+    def learn(self, state: Any, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
+        """The memory after a frame."""
+        ...
+
+
+class Record(NamedTuple):
+    """One frame, or with more leading axes many: (seeds, frames, *pixels) as `run` returns it.
+
+    Attributes:
+        count: samples drawn.
+        value: the frame's result, their mean.
+        square_deviation: sum of the samples' squared deviations from it.
+        mean, variance, coefficient: as in `Learned`.
+    """
+
+    count: Array
+    value: Array
+    square_deviation: Array
+    mean: Array
+    variance: Array
+    coefficient: Array
+
+
+def draw(
+    key: Array, world: World, frame: Array, count: Array, *, most: int, sequence: Sequence = "iid"
+) -> Sampled:
+    """Sample every pixel of a frame.
+
+    Args:
+        key: of this frame and seed.
+        world: what is sampled.
+        frame: its number, from 0.
+        count: samples of each pixel, of the pixels' shape; above `most` it is `most`.
+        most: the largest count, on the host; what is drawn beyond a pixel's own count is thrown away.
+        sequence: "iid" points, or "r2": the R2 sequence from a random start in every pixel and frame, which
+            leaves each frame unbiased and independent of the others.
+
+    Returns:
+        `Sampled`; mean and deviation are 0 where the count is 0.
+
+    Example:
+        >>> from sssfit.scenarios import circle
+        >>> drawn = draw(jax.random.key(0), circle.uniform(1), 0, jnp.int32(64), most=64)
+        >>> int(drawn.count), 0.5 < float(drawn.mean) < 1.5
+        (64, True)
+    """
+    count = jnp.minimum(count, most)
+    dtype, shape = world.truth.dtype, count.shape
+    shift = jax.random.bits(key, (2, 1, *shape), jnp.uint32) if sequence == "r2" else None
+
+    def values(block):
+        if shift is None:
+            block_key = jax.random.fold_in(key, block)
+            return world.values(jax.random.uniform(block_key, (2, _BLOCK, *shape), dtype), frame)
+        index = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape)) + block * _BLOCK
+        return world.values(sequences.r2(index, shift).astype(dtype), frame)
+
+    def add(block, sums):
+        found = values(block) - reference
+        number = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape)) + block * _BLOCK
+        found = jnp.where(number < count, found, 0)
+        return sums[0] + jnp.sum(found, axis=0), sums[1] + jnp.sum(jnp.square(found), axis=0)
+
+    # Sums of squares are taken around a number of the samples' size, so that they do not cancel.
+    reference = jax.lax.stop_gradient(world.truth[frame])
+    zero = jnp.zeros(shape, dtype)
+    total, squares = jax.lax.fori_loop(0, -(-most // _BLOCK), add, (zero, zero))
+    number = jnp.maximum(count, 1).astype(dtype)
+    mean = total / number
+    deviation = jnp.maximum(squares - total * mean, 0)
+    return Sampled(count, jnp.where(count > 0, reference + mean, 0), deviation)
+
+
+def known(world: World, frame: Array, *, missing: Array) -> Known:
+    """What is known of a frame before it is sampled.
+
+    Args:
+        world: what is sampled.
+        frame: its number, from 0.
+        missing: whether the pixels have no history.
+
+    Returns:
+        `Known`, of the pixels' shape.
+
+    Example:
+        >>> from sssfit.scenarios import circle
+        >>> round(float(known(circle.uniform(1), 0, missing=jnp.array(True)).control), 4)
+        1.2732
+    """
+    at = (world.control[frame], world.surround[frame], world.sample_variance[frame])
+    return Known(*at, missing=jnp.broadcast_to(missing, at[0].shape))
+
+
+def step(
+    key: Array,
+    world: World,
+    policy: Policy,
+    state: Any,
+    frame: Array,
+    *,
+    most: int,
+    start: Start = "disocclusion",
+    sequence: Sequence = "iid",
+) -> tuple[Any, Record]:
+    """One frame: decide the counts, sample, learn.
+
+    Args:
+        key: of the seed; the frame's own is derived from it and the frame's number.
+        world: what is sampled.
+        policy: how many samples, and what is learned from them.
+        state: the policy's memory.
+        frame: number of the frame, from 0.
+        most: the largest count, on the host.
+        start: "disocclusion" tells the policy that frame 0 has no history, "cold" gives it zeros for one.
+        sequence: as for `draw`.
+
+    Returns:
+        The memory after the frame, and a `Record` of the pixels' shape.
+
+    Example:
+        >>> from sssfit.scenarios import circle, policies
+        >>> world, policy = circle.uniform(2), policies.named("fixed", spp=16)
+        >>> state, record = step(jax.random.key(0), world, policy, (), 0, most=16)
+        >>> int(record.count)
+        16
+    """
+    before = known(world, frame, missing=(frame == 0) & (start == "disocclusion"))
+    count = policy.count(state, before)
+    key = jax.random.fold_in(key, frame)
+    sampled = draw(key, world, frame, count, most=most, sequence=sequence)
+    state, learned = policy.learn(state, before, sampled)
+    return state, Record(*sampled, *learned)
+
+
+def run(
+    key: Array,
+    world: World,
+    policy: Policy,
+    *,
+    seeds: int,
+    most: int | None = None,
+    start: Start = "disocclusion",
+    sequence: Sequence = "iid",
+    reduce: Callable[[Record, World], Any] | None = None,
+    chunk: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Any:
+    """All frames of a world for many seeds.
+
+    Args:
+        key: of the whole run. A seed's numbers depend on it and the seed's number, not on the chunks.
+        world: what is sampled, for as many frames as it has.
+        policy: how many samples, and what is learned from them.
+        seeds: how many independent repetitions, >= 1.
+        most: the largest count that the policy can ask for; by default its `max_spp`.
+        start, sequence: as for `step`.
+        reduce: what to keep of each seed, a function of its `Record` (frames, *pixels) and the world; by
+            default the record as it is.
+        chunk: seeds at a time; by default as many as fit into some 200 MB.
+        progress: called with the seeds done and their total.
+
+    Returns:
+        `Record`, or what `reduce` returns, of NumPy arrays with a leading axis of seeds.
+
+    Raises:
+        ValueError: seeds or chunk is below 1, start or sequence is unknown.
+
+    Example:
+        >>> from sssfit.scenarios import circle, policies
+        >>> record = run(jax.random.key(0), circle.uniform(20), policies.named("as"), seeds=3)
+        >>> record.count.shape
+        (3, 20)
+    """
+    if start not in STARTS:
+        raise ValueError(f"start must be one of {', '.join(STARTS)}, got {start!r}")
+    if sequence not in SEQUENCES:
+        raise ValueError(f"sequence must be one of {', '.join(SEQUENCES)}, got {sequence!r}")
+    if seeds < 1:
+        raise ValueError(f"seeds must be at least 1, got {seeds}")
+    most = int(np.max(getattr(policy, "max_spp", 0))) if most is None else most
+    size = world.truth.size * len(Record._fields)
+    chunk = min(seeds, chunk or max(1, _CHUNK_NUMBERS // size))
+    if chunk < 1:
+        raise ValueError(f"chunk must be at least 1, got {chunk}")
+    parts = []
+    for first in range(0, seeds, chunk):
+        progress(first, seeds)
+        # The last chunk is as long as the others, so that it needs no program of its own.
+        numbers = jnp.arange(first, first + chunk)
+        found = _run_seeds(key, world, policy, numbers, most, start, sequence, reduce)
+        kept = min(chunk, seeds - first)
+        parts.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], found))
+    progress(seeds, seeds)
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+@eqx.filter_jit
+def _run_seeds(key, world, policy, numbers, most, start, sequence, reduce):
+    frames = world.truth.shape[0]
+
+    def one(number):
+        seed_key = jax.random.fold_in(key, number)
+
+        def following(state, frame):
+            return step(seed_key, world, policy, state, frame, most=most, start=start, sequence=sequence)
+
+        state = policy.init(jnp.zeros_like(world.truth[0]))
+        record = jax.lax.scan(following, state, jnp.arange(frames))[1]
+        return record if reduce is None else reduce(record, world)
+
+    return jax.vmap(one)(numbers)
