@@ -93,10 +93,10 @@ def test_functions_are_documented_with_an_example(name):
     assert summary.endswith((".", ":")) and len(summary) < 110
     assert ">>>" in section(text, "Example")
     arguments = node.args
-    named = [a.arg for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
-    assert documented(text) == named
+    rest = [arguments.kwarg] if arguments.kwarg else []
+    every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs, *rest]
+    assert documented(text) == [a.arg for a in every]
     assert node.returns is not None
-    every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
     assert [a.arg for a in every if a.annotation is None] == []
 
 

@@ -5,4 +5,5 @@ from sssfit.scenarios import circle as circle
 from sssfit.scenarios import driver as driver
 from sssfit.scenarios import light as light
 from sssfit.scenarios import line as line
+from sssfit.scenarios import measure as measure
 from sssfit.scenarios import policies as policies

@@ -2,10 +2,10 @@
 
 A *world* knows its samples' values and its exact answers (`circle`, `line`); a *policy* decides how many
 samples are drawn and learns from them (`policies`). `step` does one frame. `run` does all frames of many
-seeds by one compiled scan, a chunk of seeds at a time so that memory stays bounded.
+seeds by one compiled scan, `chunks` a part of the seeds at a time so that memory stays bounded.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import equinox as eqx
@@ -235,7 +235,42 @@ def step(
     return state, Record(*sampled, *learned)
 
 
-def run(
+def trajectory(
+    key: Array,
+    world: World,
+    policy: Policy,
+    *,
+    most: int,
+    start: Start = "disocclusion",
+    sequence: Sequence = "iid",
+) -> Record:
+    """All frames of a world for one seed, to be compiled and mapped over by its caller.
+
+    Args:
+        key: of the seed.
+        world: what is sampled, for as many frames as it has.
+        policy: how many samples, and what is learned from them.
+        most: the largest count, on the host.
+        start, sequence: as for `step`.
+
+    Returns:
+        `Record` of shape (frames, *pixels).
+
+    Example:
+        >>> from sssfit.scenarios import circle, policies
+        >>> world, policy = circle.uniform(20), policies.named("as")
+        >>> jax.jit(lambda key: trajectory(key, world, policy, most=64))(jax.random.key(0)).count.shape
+        (20,)
+    """
+
+    def following(state, frame):
+        return step(key, world, policy, state, frame, most=most, start=start, sequence=sequence)
+
+    state = policy.init(jnp.zeros_like(world.truth[0]))
+    return jax.lax.scan(following, state, jnp.arange(world.truth.shape[0]))[1]
+
+
+def chunks(
     key: Array,
     world: World,
     policy: Policy,
@@ -244,11 +279,9 @@ def run(
     most: int | None = None,
     start: Start = "disocclusion",
     sequence: Sequence = "iid",
-    reduce: Callable[[Record, World], Any] | None = None,
     chunk: int | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Any:
-    """All frames of a world for many seeds.
+) -> Iterator[Record]:
+    """All frames of a world for many seeds, some seeds at a time: what is kept of them is the caller's.
 
     Args:
         key: of the whole run. A seed's numbers depend on it and the seed's number, not on the chunks.
@@ -257,22 +290,19 @@ def run(
         seeds: how many independent repetitions, >= 1.
         most: the largest count that the policy can ask for; by default its `max_spp`.
         start, sequence: as for `step`.
-        reduce: what to keep of each seed, a function of its `Record` (frames, *pixels) and the world; by
-            default the record as it is.
-        chunk: seeds at a time; by default as many as fit into some 200 MB.
-        progress: called with the seeds done and their total.
+        chunk: seeds at a time; by default as many as fit into some 80 MB.
 
-    Returns:
-        `Record`, or what `reduce` returns, of NumPy arrays with a leading axis of seeds.
+    Yields:
+        `Record` of NumPy arrays (chunk, frames, *pixels), the last one with the seeds that are left.
 
     Raises:
-        ValueError: seeds or chunk is below 1, start or sequence is unknown.
+        ValueError: seeds, chunk or most is out of its domain, start or sequence is unknown.
 
     Example:
         >>> from sssfit.scenarios import circle, policies
-        >>> record = run(jax.random.key(0), circle.uniform(20), policies.named("as"), seeds=3)
-        >>> record.count.shape
-        (3, 20)
+        >>> parts = chunks(jax.random.key(0), circle.uniform(20), policies.named("as"), seeds=5, chunk=3)
+        >>> [len(part.count) for part in parts]
+        [3, 2]
     """
     if start not in STARTS:
         raise ValueError(f"start must be one of {', '.join(STARTS)}, got {start!r}")
@@ -280,35 +310,68 @@ def run(
         raise ValueError(f"sequence must be one of {', '.join(SEQUENCES)}, got {sequence!r}")
     if seeds < 1:
         raise ValueError(f"seeds must be at least 1, got {seeds}")
-    most = int(np.max(getattr(policy, "max_spp", 0))) if most is None else most
+    most = largest_count(policy) if most is None else most
     size = world.truth.size * len(Record._fields)
-    chunk = min(seeds, chunk or max(1, _CHUNK_NUMBERS // size))
+    chunk = min(seeds, max(1, _CHUNK_NUMBERS // size) if chunk is None else chunk)
     if chunk < 1:
         raise ValueError(f"chunk must be at least 1, got {chunk}")
-    parts = []
     for first in range(0, seeds, chunk):
-        progress(first, seeds)
         # The last chunk is as long as the others, so that it needs no program of its own.
         numbers = jnp.arange(first, first + chunk)
-        found = _run_seeds(key, world, policy, numbers, most, start, sequence, reduce)
-        kept = min(chunk, seeds - first)
-        parts.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], found))
-    progress(seeds, seeds)
-    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        found = _run_seeds(key, world, policy, numbers, most, start, sequence)
+        yield _on_host(found, seeds - first)
+
+
+def largest_count(policy: Policy) -> int:
+    """The largest count that a policy can ask for.
+
+    Args:
+        policy: with a `max_spp` that is known on the host.
+
+    Raises:
+        ValueError: it has none.
+
+    Example:
+        >>> from sssfit.scenarios import policies
+        >>> largest_count(policies.named("as", max_spp=128))
+        128
+    """
+    try:
+        return int(np.max(policy.max_spp))  # pyright: ignore[reportAttributeAccessIssue]
+    except (AttributeError, jax.errors.ConcretizationTypeError):
+        raise ValueError("most must be given for a policy whose max_spp is not known on the host") from None
+
+
+def run(key: Array, world: World, policy: Policy, *, seeds: int, **options: Any) -> Record:
+    """All frames of a world for many seeds, as one record.
+
+    Args:
+        key, world, policy, seeds, options: as for `chunks`.
+
+    Returns:
+        `Record` of NumPy arrays (seeds, frames, *pixels).
+
+    Raises:
+        ValueError: as `chunks`.
+
+    Example:
+        >>> from sssfit.scenarios import circle, policies
+        >>> record = run(jax.random.key(0), circle.uniform(20), policies.named("as"), seeds=3)
+        >>> record.count.shape
+        (3, 20)
+    """
+    parts = list(chunks(key, world, policy, seeds=seeds, **options))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def _on_host(record: Record, seeds: int) -> Record:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:seeds], record)
 
 
 @eqx.filter_jit
-def _run_seeds(key, world, policy, numbers, most, start, sequence, reduce):
-    frames = world.truth.shape[0]
-
+def _run_seeds(key, world, policy, numbers, most, start, sequence):
     def one(number):
         seed_key = jax.random.fold_in(key, number)
-
-        def following(state, frame):
-            return step(seed_key, world, policy, state, frame, most=most, start=start, sequence=sequence)
-
-        state = policy.init(jnp.zeros_like(world.truth[0]))
-        record = jax.lax.scan(following, state, jnp.arange(frames))[1]
-        return record if reduce is None else reduce(record, world)
+        return trajectory(seed_key, world, policy, most=most, start=start, sequence=sequence)
 
     return jax.vmap(one)(numbers)

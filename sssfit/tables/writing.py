@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sssfit.files.atomic import interrupt_deferred, staged_directory
-from sssfit.files.json_text import json_text, sha256_bytes
+from sssfit.files.atomic import interrupt_deferred
+from sssfit.files.json_text import sha256_bytes
+from sssfit.files.output import Output, output_directory
 from sssfit.files.reading import read_bytes
 from sssfit.profiles import materials
 from sssfit.tables.collection import Entry, Sizes, jobs, skipped
@@ -17,6 +17,7 @@ from sssfit.tables.plot import plot
 from sssfit.tables.report import report_html
 
 FORMATS = tuple(ENCODERS)
+_PACKAGES = ("optimistix", "OpenEXR", "pillow")
 
 Progress = Callable[[str, int, int], None]
 
@@ -65,40 +66,34 @@ def write(
     data = read_bytes(source)
     loaded = materials.parse(data, source.name)
     work = list(jobs(loaded, sizes))
-    manifest: dict[str, Any] = {
-        "versions": _versions(),
+    described: dict[str, Any] = {
         "inputs": [{"name": source.name, "sha256": sha256_bytes(data)}],
         "options": {"formats": list(formats), "size": sizes.line, "size_2d": sizes.image},
         "computed_in": "float64",
         "length_unit": "mm",
         "skipped": skipped(loaded),
         "tables": [],
-        "files": {},
     }
-    seconds, plots = {}, {}
-    with staged_directory(out) as staging:
+    plots: dict[str, bytes] = {}
+    with output_directory(out, described, _PACKAGES) as output:
+        manifest, seconds = output.manifest, output.timing.setdefault("seconds", {})
         for done, (title, compute) in enumerate(work):
             progress(title, done, len(work))
             start = time.perf_counter()
             with interrupt_deferred():
                 entry = compute()
                 plots[entry.path] = plot(entry.table)
-            described = _write_entry(staging, entry, formats, plots[entry.path], manifest)
-            manifest["tables"].append(described)
+            manifest["tables"].append(_write_entry(output, entry, formats, plots[entry.path]))
             seconds[title] = time.perf_counter() - start
         progress("report", len(work), len(work))
-        _put(staging, "report.html", report_html(manifest, plots), manifest)
-        _put(staging, "manifest.json", json_text(manifest).encode(), None)
-        _put(staging, "timing.json", json_text({"seconds": seconds}).encode(), None)
+        output.put("report.html", report_html(manifest, plots))
     return manifest
 
 
-def _write_entry(
-    staging: Path, entry: Entry, formats: Sequence[str], picture: bytes, manifest: dict[str, Any]
-) -> dict[str, Any]:
+def _write_entry(output: Output, entry: Entry, formats: Sequence[str], picture: bytes) -> dict[str, Any]:
     """Write one table in every format; what the manifest says of it."""
     path, table = entry.path, entry.table
-    _put(staging, f"{path}.plot.png", picture, manifest)
+    output.put(f"{path}.plot.png", picture)
     stored: dict[str, Any] = {}
     errors: dict[str, dict[str, float]] = {}
     for name in formats:
@@ -109,7 +104,7 @@ def _write_entry(
             stored[name] = {"omitted": str(error)}
             continue
         for suffix, content in files.items():
-            _put(staging, path + suffix, content, manifest)
+            output.put(path + suffix, content)
         dtype = STORED_AS[name]
         if dtype not in errors:
             errors[dtype] = store(table, dtype).metadata["quantization"]
@@ -131,16 +126,3 @@ def _write_entry(
         "plot": f"{path}.plot.png",
         "formats": stored,
     }
-
-
-def _put(staging: Path, path: str, content: bytes, manifest: dict[str, Any] | None) -> None:
-    target = staging / path
-    target.parent.mkdir(exist_ok=True)
-    target.write_bytes(content)
-    if manifest is not None:
-        manifest["files"][path] = {"sha256": sha256_bytes(content), "bytes": len(content)}
-
-
-def _versions() -> dict[str, str]:
-    packages = ("sssfit", "jax", "numpy", "scipy", "optimistix", "OpenEXR", "matplotlib", "pillow")
-    return {name: version(name) for name in packages}

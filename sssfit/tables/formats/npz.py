@@ -1,11 +1,11 @@
 """Tables as NumPy archives."""
 
 import io
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from sssfit.files.arrays import npz_bytes
 from sssfit.files.json_text import json_line
 from sssfit.files.reading import read_bytes
 from sssfit.tables.formats.encoded import Stored, store
@@ -42,15 +42,7 @@ def encode(table: Table) -> dict[str, bytes]:
         f"axis_{index}": np.asarray(axis["values"], dtype="<f8")
         for index, axis in enumerate(stored.metadata["axes"])
     }
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, array in arrays.items():
-            # Such a member has the earliest date of ZIP, not that of now; and says Unix everywhere.
-            member = zipfile.ZipInfo(f"{name}.npy")
-            member.create_system = 3
-            with archive.open(member, "w") as file:
-                np.lib.format.write_array(file, array, allow_pickle=False)
-    return {".npz": stream.getvalue()}
+    return {".npz": npz_bytes(arrays)}
 
 
 def decode(path: Path) -> Stored:
