@@ -17,7 +17,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from sssfit.profiles import burley
+from sssfit.sampling import inverse_cdf
+from sssfit.scenarios._direction import cosine_of_half_turn
 
 #: Irradiance within the circle that makes the mean over the unit square 1.
 IRRADIANCE = 4 / math.pi
@@ -45,10 +46,10 @@ class Circle(eqx.Module):
         if self.profile == "uniform":
             inside = jnp.sum(jnp.square(uniform - 0.5), axis=0) < 0.25
         else:
-            r = burley.ppf(uniform[0], self.d)
-            angle = 2 * math.pi * uniform[1]
+            r = inverse_cdf.log_poly12(uniform[0], self.d)
             # Distances to the beam's centre as sums of positive terms, which do not cancel.
-            squared = jnp.square(self.distance - r) + 2 * self.distance * r * (1 + jnp.cos(angle))
+            facing = 1 + cosine_of_half_turn(uniform[1])
+            squared = jnp.square(self.distance - r) + 2 * self.distance * r * facing
             inside = squared < jnp.square(self.radius)
         return jnp.where(inside, IRRADIANCE * self.intensity[frame], 0)
 

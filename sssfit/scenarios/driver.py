@@ -23,8 +23,8 @@ SEQUENCES: tuple[Sequence, ...] = get_args(Sequence)
 
 #: Samples drawn at a time: enough to keep a core's vector units busy for a single pixel.
 _BLOCK = 8
-#: Trajectory numbers of one chunk of seeds; some 80 MB in float32.
-_CHUNK_NUMBERS = 20_000_000
+#: Numbers in the records of one chunk of seeds; 16 MB in float32, seconds of work.
+_CHUNK_NUMBERS = 4_000_000
 
 
 class World(Protocol):
@@ -149,18 +149,13 @@ def draw(
     """
     count = jnp.minimum(count, most)
     dtype, shape = world.truth.dtype, count.shape
-    shift = jax.random.bits(key, (2, 1, *shape), jnp.uint32) if sequence == "r2" else None
-
-    def values(block):
-        if shift is None:
-            block_key = jax.random.fold_in(key, block)
-            return world.values(jax.random.uniform(block_key, (2, _BLOCK, *shape), dtype), frame)
-        index = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape)) + block * _BLOCK
-        return world.values(sequences.r2(index, shift).astype(dtype), frame)
+    shift = jax.random.bits(key, (2, 1, *shape), jnp.uint32)
+    points = {"iid": sequences.hashed, "r2": sequences.r2}[sequence]
+    block_numbers = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape))
 
     def add(block, sums):
-        found = values(block) - reference
-        number = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape)) + block * _BLOCK
+        number = block_numbers + block * _BLOCK
+        found = world.values(points(number, shift).astype(dtype), frame) - reference
         found = jnp.where(number < count, found, 0)
         return sums[0] + jnp.sum(found, axis=0), sums[1] + jnp.sum(jnp.square(found), axis=0)
 
@@ -290,7 +285,7 @@ def chunks(
         seeds: how many independent repetitions, >= 1.
         most: the largest count that the policy can ask for; by default its `max_spp`.
         start, sequence: as for `step`.
-        chunk: seeds at a time; by default as many as fit into some 80 MB.
+        chunk: seeds at a time; by default as many as fit into some 16 MB.
 
     Yields:
         `Record` of NumPy arrays (chunk, frames, *pixels), the last one with the seeds that are left.

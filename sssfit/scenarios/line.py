@@ -22,7 +22,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from sssfit.profiles import burley, separable
+from sssfit.sampling import inverse_cdf
 from sssfit.scenarios import light
+from sssfit.scenarios._direction import cosine_of_half_turn
 
 Kernel = Literal["line", "radial"]
 KERNELS: tuple[Kernel, ...] = get_args(Kernel)
@@ -44,9 +46,9 @@ class Line(eqx.Module):
     def values(self, uniform: Array, frame: Array) -> Array:
         """Values of samples; see `driver.World`."""
         texels = self.irradiance.shape[1]
-        offset = burley.ppf(uniform[0], self.texels_per_d)
+        offset = inverse_cdf.log_poly12(uniform[0], self.texels_per_d)
         if self.kernel == "line":
-            offset = offset * jnp.cos(2 * math.pi * uniform[1])
+            offset = offset * cosine_of_half_turn(uniform[1])
         else:
             offset = jnp.where(uniform[1] < 0.5, offset, -offset)
         hit = jnp.floor(jnp.arange(texels, dtype=offset.dtype) + 0.5 + offset)

@@ -1,9 +1,9 @@
 """What many seeds of a scenario say: counts, delivered variance, errors, and the regret against the oracle.
 
 `collect` reads records chunk by chunk and keeps sums over the seeds, so that memory does not grow with them
-except for two numbers per seed and frame. Steady figures leave out the first frames. The variance that a frame
-delivers is, given its count, the exact variance of a sample over the count: it has no noise of its own, and
-holds for independent samples. Squared errors against the truth hold for every sequence.
+except for two numbers per seed and frame. Steady figures leave out the first frames. The variance that a
+frame delivers is, given its count, the exact variance of a sample over the count: it has no noise of its
+own, and holds for independent samples. Squared errors against the truth hold for every sequence.
 """
 
 from collections.abc import Callable, Iterable
@@ -132,8 +132,8 @@ def collect(
         raise ValueError("records must hold at least one seed, got none")
     means = [part / seeds for part in sums]
     counts, errors = (np.concatenate(parts) for parts in zip(*by_seed, strict=True))
-    of_world = (histogram, truth, sample_variance, first, float(np.concatenate(kept).mean()))
-    return Statistics(*(seeds, counts, errors, *means, *of_world))
+    rest = (histogram, truth, sample_variance, first, float(np.concatenate(kept).mean()))
+    return Statistics._make((seeds, counts, errors, *means, *rest))
 
 
 def oracle_count(sample_variance: ArrayLike, target: Target) -> np.ndarray:
@@ -219,7 +219,7 @@ def summarize(found: Statistics, target: Target) -> Summary:
     )
 
 
-def regret(found: Statistics, target: Target, *, first: int = STEADY, quantile: float | None = None) -> float:
+def regret(found: Statistics, target: Target, *, level: Level = "mean") -> float:
     """Samples spent over the samples of an oracle that delivers the same.
 
     The oracle has the same bounds and knows the variance of every pixel's samples; its target is what is
