@@ -40,11 +40,11 @@ def parser() -> argparse.ArgumentParser:
 
     # Ctrl-C inside the imports of compiled code crashes or is lost.
     with interrupt_deferred():
-        from sssfit.cli import fit, reproduce, tables
+        from sssfit.cli import fit, reproduce, simulate, tables
 
     top = argparse.ArgumentParser(
         prog="sssfit",
-        description="Parameter fits and lookup tables for subsurface scattering. Lengths are in mm.",
+        description="Fits, lookup tables and simulations for subsurface scattering. Lengths are in mm.",
         epilog="example: sssfit tables --out tables",
     )
     top.add_argument("--version", action="version", version=f"sssfit {version('sssfit')}")
@@ -52,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
     with interrupt_deferred():
         fit.add_command(commands)
         tables.add_command(commands)
+        simulate.add_command(commands)
         reproduce.add_command(commands)
     return top
 

@@ -181,6 +181,7 @@ def named(
     if name == "fixed":
         return Fixed(spp)
     if name == "oracle":
+        sample_count.Controller(target_variance, min_spp=min_spp, max_spp=max_spp)  # refuses bad constants
         return Oracle(target_variance, min_spp, max_spp)
     if name == "in_frame":
         alpha = IN_FRAME_ALPHA if alpha is None else alpha
@@ -203,8 +204,8 @@ def named(
 
 #: The names that `named` knows.
 NAMES = ("spvg", "as", "ocv", "ccv", "unreal", "in_frame", "fixed", "oracle")
-#: Weight of the newest frame in `in_frame`, by default.
-IN_FRAME_ALPHA = 0.05
+#: Weight of the newest frame in `in_frame`, by default, and in its gain where points are not independent.
+IN_FRAME_ALPHA, GAIN_ALPHA = 0.05, 0.02
 
 
 def _of(sampled: Sampled) -> tuple[Array, Array, Array]:
