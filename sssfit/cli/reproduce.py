@@ -14,7 +14,7 @@ examples:
 _HELP = """\
 Compute again every number that the papers print and that needs no game engine, and show both side by side:
 "reproduced" where the printed one is ours within its rounding and our standard error, "differs" where it is
-known not to be, with the reason, and "FAILS" otherwise. It takes several minutes. Exit code 0 if none fails,
+known not to be, with the reason, and "FAILS" otherwise. It takes about a minute. Exit code 0 if none fails,
 else 1.
 """
 _STABILITY_EXAMPLE = """\
@@ -29,7 +29,7 @@ inf, and where half formats stop following. Each line has the bound that roundin
 measured on this machine; it takes about half a minute. Exit code 0 if all bounds hold, else 1.
 """
 #: Topics whose module `published` has rows of printed numbers.
-PUBLISHED = ("profiles", "fitting", "tables", "estimators")
+PUBLISHED = ("profiles", "fitting", "tables", "estimators", "scenarios")
 #: Samples of the long streams with --quick.
 _QUICK = 100_000
 #: Columns of a table that is not shown on a terminal: more than the longest row has.
@@ -42,7 +42,7 @@ def add_command(commands) -> None:
     """Add `reproduce` and what it can reproduce to the parser's commands."""
     command = commands.add_parser(
         "reproduce",
-        help="compute printed or stated numbers again (several minutes)",
+        help="compute printed or stated numbers again (a minute)",
         description=_HELP,
         epilog=_EXAMPLE,
         # argparse alone would show WHAT as if it were required.

@@ -83,6 +83,7 @@ class Entry(NamedTuple):
     Attributes:
         name: of the residual.
         mean, median, sd: of the mean error of frames `FIRST` to the last, over the seeds.
+        interquartile: what the middle half of the seeds spans.
         low, high: what 99 % of the seeds lie between.
     """
 
@@ -90,6 +91,7 @@ class Entry(NamedTuple):
     mean: float
     median: float
     sd: float
+    interquartile: float
     low: float
     high: float
 
@@ -206,8 +208,9 @@ def table(
         parts.append(np.asarray(_mean_errors(key, jnp.arange(first, first + chunk), light), np.float64))
     progress(seeds, seeds)
     errors = np.concatenate(parts)[:seeds]
-    low, median, high = np.percentile(errors, (0.5, 50, 99.5), axis=0)
-    columns = (errors.mean(axis=0), median, errors.std(axis=0, ddof=1), low, high)
+    low, quarter, median, three_quarters, high = np.percentile(errors, (0.5, 25, 50, 75, 99.5), axis=0)
+    spread = (errors.std(axis=0, ddof=1), three_quarters - quarter, low, high)
+    columns = (errors.mean(axis=0), median, *spread)
     return [
         Entry(name, *map(float, row)) for name, row in zip(NAMES, zip(*columns, strict=True), strict=True)
     ]
