@@ -140,6 +140,36 @@ class Oracle(eqx.Module):
         return state, _exact(known, sampled)
 
 
+class MedianFiltered(eqx.Module):
+    """Another policy's counts after a median of three along the last axis, as a filter of the count map.
+
+    Attributes:
+        policy: the other one.
+    """
+
+    policy: Adaptive | InFrame | Fixed | Oracle
+
+    @property
+    def max_spp(self) -> ArrayLike:
+        """The largest count."""
+        return self.policy.max_spp
+
+    def init(self, like: Array) -> Any:
+        """See `driver.Policy`."""
+        return self.policy.init(like)
+
+    def count(self, state: Any, known: Known) -> Array:
+        """See `driver.Policy`; the ends are repeated beyond the ends."""
+        count = self.policy.count(state, known)
+        before = jnp.concatenate([count[..., :1], count[..., :-1]], axis=-1)
+        after = jnp.concatenate([count[..., 1:], count[..., -1:]], axis=-1)
+        return jnp.median(jnp.stack([before, count, after]), axis=0).astype(count.dtype)
+
+    def learn(self, state: Any, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
+        """See `driver.Policy`."""
+        return self.policy.learn(state, known, sampled)
+
+
 def named(
     name: str,
     *,
