@@ -32,8 +32,8 @@ CIRCLE, LINE = Target(0.08**2), Target(1e-4)
 COLOURS = {"as": "#777777", "ocv": "#2b5fb3", "ccv": "#8a5a00", "in_frame": "#c8322d"}
 
 
-def simulate(world, policy, seeds: int, *, seed: int = 1, first: int = measure.STEADY, **options):
-    return writing.simulate(world, policy, seeds=seeds, seed=seed, first=first, **options)[0]
+def simulate(world, policy, target, seeds: int, *, seed: int = 1, first: int = measure.STEADY, **options):
+    return writing.simulate(world, policy, target, seeds=seeds, seed=seed, first=first, **options)[0]
 
 
 def lit_line(profile, intensity, *, texels: int = TEXELS, kernel: line.Kernel = "line") -> line.Line:
@@ -91,8 +91,8 @@ def circle_runs() -> Iterator[tuple[str, driver.Policy, driver.Start]]:
 def study_circle(seeds: int = 20_000) -> None:
     world, rows = circle.uniform(FRAMES), []
     for name, policy, start in circle_runs():
-        found = simulate(world, policy, seeds, start=start)
-        figures = measure.summarize(found, CIRCLE)
+        found = simulate(world, policy, CIRCLE, seeds, start=start)
+        figures = measure.summarize(found)
         share = found.histogram[measure.STEADY :].sum(axis=0) / found.histogram[measure.STEADY :].sum()
         share = np.pad(share, (0, 65 - min(65, len(share))))
         error = found.error_by_seed[:, measure.STEADY :].mean(axis=1) / CIRCLE.variance
@@ -120,7 +120,9 @@ def study_circle(seeds: int = 20_000) -> None:
             "over oracle": f"{row['count_over_oracle']:.3f}",
             "at 8": f"{row['share_at_8']:.1%}",
             "at 64": f"{row['share_at_64']:.1%}",
-            "delivered / target": f"{row['delivered_over_target']:.4f} ± {row['delivered_over_target_se']:.4f}",
+            "delivered / target": (
+                f"{row['delivered_over_target']:.4f} ± {row['delivered_over_target_se']:.4f}"
+            ),
             "first 30 frames": f"{30 * row['mean_count_30']:.0f}",
         }
         for row in rows
@@ -152,7 +154,7 @@ def study_line(seeds: int = 16, frames: int = 120) -> None:
         for lit, intensity in LIGHTS.items():
             world = lit_line(setup.profile, intensity[:frames], kernel=setup.kernel)
             for name in ("as", "ocv", "ccv", "in_frame", "oracle"):
-                found = measure.summarize(simulate(world, policies.named(name), seeds, first=0), LINE)
+                found = measure.summarize(simulate(world, policies.named(name), LINE, seeds, first=0))
                 static.setdefault(name, found)
                 rows.append(
                     {
@@ -210,7 +212,7 @@ def study_regret() -> None:
     for scenario, (world, target) in regret_worlds().items():
         seeds = 4000 if world.truth.ndim == 1 else 24
         for name, policy in regret_policies(target).items():
-            found = measure.summarize(simulate(world, policy, seeds, seed=7), target)
+            found = measure.summarize(simulate(world, policy, target, seeds, seed=7))
             rows.append({"scenario": scenario, "controller": name, **found._asdict()})
             if name == "in_frame":
                 same = as_at_equal_samples(world, target, found.mean_count, seeds)
@@ -249,7 +251,7 @@ def as_at_equal_samples(world, target: Target, count: float, seeds: int) -> floa
         # An array, so that one program serves all targets.
         variance = np.float32(target.variance * factor)
         policy = policies.named("as", target_variance=jax.numpy.asarray(variance))
-        found = measure.summarize(simulate(world, policy, max(4, seeds // 4), seed=7), target)
+        found = measure.summarize(simulate(world, policy, target, max(4, seeds // 4), seed=7))
         counts.append(found.mean_count)
         errors.append(found.image_rmse)
         if found.mean_count < count:
@@ -279,8 +281,9 @@ def study_tune(candidates: int = 512) -> None:
         fronts[name] = tune.evaluate(jax.random.key(12), worlds, LINE, name, best, seeds=8)
         for i in range(len(kept)):
             constants = {key: float(values[i]) for key, values in best.items()}
-            rows.append({"controller": name, "samples": fronts[name].samples[i], "error": fronts[name].error[i],
-                         **{key: constants.get(key, float("nan")) for key in tune.RANGES}})  # fmt: skip
+            figures = {"samples": fronts[name].samples[i], "error": fronts[name].error[i]}
+            constants = {key: constants.get(key, float("nan")) for key in tune.RANGES}
+            rows.append({"controller": name, **figures, **constants})
     levels = (0.8, 0.9, 1.0, 1.1, 1.2, 1.4)
     shown = (
         {"tuned": name} | {f"{level:g}": f"{tune.samples_at(found, level):.2f}" for level in levels}
@@ -303,7 +306,7 @@ def preset_points(worlds) -> dict[str, tuple[float, float]]:
     for name, policy in made.items():
         samples, errors = [], []
         for world in worlds.values():
-            found = simulate(world, policy, 8, seed=12)
+            found = simulate(world, policy, LINE, 8, seed=12)
             ideal = measure.oracle_count(found.sample_variance[measure.STEADY :], LINE).mean()
             samples.append(found.count[measure.STEADY :].mean() / ideal)
             errors.append(np.sqrt(found.delivered_q95 / LINE.variance))
@@ -360,7 +363,7 @@ def study_under(seeds: int = 24) -> None:
         world = lit_line(getattr(line, profile), LIGHTS[lit])
         for name, policy in under_policies().items():
             share = shortfall(world, policy, seeds)
-            found = measure.summarize(simulate(world, policy, seeds, seed=3), LINE)
+            found = measure.summarize(simulate(world, policy, LINE, seeds, seed=3))
             rows.append({"scenario": scenario, "controller": name, "short": share, **found._asdict()})
     names = list(under_policies())
 
@@ -390,7 +393,7 @@ def under_policies() -> dict[str, driver.Policy]:
 
 
 def shortfall(world, policy, seeds: int) -> float:
-    """Share of pixels and frames that need more than the least count and get less than half of what they need."""
+    """Share of those that need more than the least count and get less than half of what they need."""
     needed = measure.oracle_count(world.sample_variance[measure.STEADY :], LINE)
     short, asked = 0, 0
     for record in driver.chunks(jax.random.key(3), world, policy, seeds=seeds):

@@ -120,7 +120,7 @@ def _add_controller(scenario, controller: str, target_variance: float, start: st
     )
     number("--target-variance", target_variance, "of a frame's result")
     scenario.add_argument(
-        "--alpha", type=float, help="weight of the newest frame (default: 0.2; in_frame: 0.05)"
+        "--alpha", type=float, help="weight of the newest frame (default: 0.2; in_frame: 0.02)"
     )
     number("--kappa", 0.2, "share of the correction made at once, in [0, 1]")
     number("--min-spp", 8, "smallest count", int)
@@ -166,8 +166,8 @@ def run_circle(options: argparse.Namespace) -> int:
     else:
         world = circle.beam(intensity, distance=options.distance, radius=options.radius, d=options.d)
     with _progress(options) as show:
-        found, record = writing.simulate(world, policy, **_run_options(options), progress=show)
-        summary = writing.write_circle(options.out, found, record, target, _asked(options))
+        found, record = writing.simulate(world, policy, target, **_run_options(options), progress=show)
+        summary = writing.write_circle(options.out, found, record, _asked(options))
     print(
         f"steady mean count {summary['steady_mean_count']:.3f} +- {summary['steady_mean_count_se']:.3f}, "
         f"oracle {summary['oracle_count']:.3f}; delivered variance "
@@ -194,14 +194,14 @@ def run_line(options: argparse.Namespace) -> int:
     def simulate(brightness, show):
         irradiance = (brightness[:, None] * lit).astype(np.float32)
         world = line.world(irradiance, **shape)
-        return writing.simulate(world, policy, **_run_options(options), first=0, progress=show)
+        return writing.simulate(world, policy, target, **_run_options(options), first=0, progress=show)
 
     with _progress(options) as show:
         found, record = simulate(intensity, show)
         unchanged = light.static(options.frames)
         static = found if np.array_equal(intensity, unchanged) else simulate(unchanged, show)[0]
         shown: dict[str, Any] = {"static": static, "x": x, "light": lit, "intensity": intensity}
-        summary = writing.write_line(options.out, found, record, target, _asked(options), **shown)
+        summary = writing.write_line(options.out, found, record, _asked(options), **shown)
     print(
         f"mean count {summary['mean_count']:.2f}, {summary['static_ratio']:.2f} x that of static light, "
         f"oracle {summary['oracle_count']:.2f}; image rmse {summary['image_rmse']:.5f}: see "

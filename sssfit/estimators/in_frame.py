@@ -45,7 +45,7 @@ class Controller(eqx.Module):
     """
 
     target_variance: ArrayLike
-    alpha: ArrayLike = 0.05
+    alpha: ArrayLike = 0.02
     min_spp: ArrayLike = 8
     max_spp: ArrayLike = 64
     gain_alpha: ArrayLike | None = None

@@ -46,8 +46,10 @@ class Statistics(NamedTuple):
         mean_squared_error: mean squared error of the moving mean, (frames, pixels).
         histogram: how often each count occurred in each frame, over all pixels, (frames, largest + 1).
         truth, sample_variance: the world's, (frames, pixels).
+        target: what was aimed at.
         first: the first frame of what the figures of `summarize` are made of.
-        delivered_q95: the delivered variance that 95 % of the pixels and of those frames keep.
+        delivered_q95: the delivered variance that 95 % of the pixels and frames keep whose target is
+            within reach of the largest count, mean over the seeds; NaN where none is.
     """
 
     seeds: int
@@ -64,6 +66,7 @@ class Statistics(NamedTuple):
     histogram: np.ndarray
     truth: np.ndarray
     sample_variance: np.ndarray
+    target: Target
     first: int
     delivered_q95: float
 
@@ -76,6 +79,7 @@ class Statistics(NamedTuple):
 def collect(
     records: Iterable[Record],
     world: World,
+    target: Target,
     *,
     first: int = STEADY,
     progress: Callable[[int], None] = lambda seeds: None,
@@ -85,6 +89,7 @@ def collect(
     Args:
         records: as `driver.chunks` yields them.
         world: whose records they are.
+        target: what was aimed at.
         first: the first frame, from 0, that counts in `summarize`; below the number of frames.
         progress: called with the seeds so far after each.
 
@@ -98,7 +103,8 @@ def collect(
         >>> import jax
         >>> from sssfit.scenarios import circle, driver, policies
         >>> world, fixed = circle.uniform(3), policies.named("fixed", spp=16)
-        >>> found = collect(driver.chunks(jax.random.key(0), world, fixed, seeds=4), world, first=0)
+        >>> records = driver.chunks(jax.random.key(0), world, fixed, seeds=4)
+        >>> found = collect(records, world, Target(0.01), first=0)
         >>> found.count.ravel().tolist()
         [16.0, 16.0, 16.0]
     """
@@ -110,6 +116,7 @@ def collect(
     truth, sample_variance = (
         np.asarray(a, np.float64).reshape(frames, -1) for a in (world.truth, world.sample_variance)
     )
+    reachable = within_reach(sample_variance[first:], target)
     seeds, sums, by_seed, kept, histogram = 0, None, [], [], np.zeros((frames, 1), np.int64)
     for record in records:
         # float64 a record at a time; the records themselves are float32.
@@ -120,8 +127,7 @@ def collect(
             *(count, np.square(count), flat["value"], flat["variance"], flat["coefficient"], error),
             *(inverse, np.square(flat["mean"] - truth)),
         )
-        delivered = (sample_variance * inverse)[:, first:].reshape(len(count), -1)
-        kept.append(np.quantile(delivered, 0.95, axis=1))
+        kept.append(_kept(sample_variance[first:] * inverse[:, first:], reachable))
         added = [part.sum(axis=0) for part in parts]
         sums = added if sums is None else [old + new for old, new in zip(sums, added, strict=True)]
         by_seed.append((count.mean(axis=2), error.mean(axis=2)))
@@ -132,8 +138,28 @@ def collect(
         raise ValueError("records must hold at least one seed, got none")
     means = [part / seeds for part in sums]
     counts, errors = (np.concatenate(parts) for parts in zip(*by_seed, strict=True))
-    rest = (histogram, truth, sample_variance, first, float(np.concatenate(kept).mean()))
+    q95 = float(np.concatenate(kept).mean())
+    rest = (histogram, truth, sample_variance, target, first, q95)
     return Statistics._make((seeds, counts, errors, *means, *rest))
+
+
+def within_reach(sample_variance: ArrayLike, target: Target) -> np.ndarray:
+    """Where the target takes no more samples than are allowed.
+
+    Args:
+        sample_variance: of one sample.
+        target: the target.
+
+    Returns:
+        Booleans.
+
+    Source: none; a comparison.
+
+    Example:
+        >>> within_reach([0.01, 1.0], Target(1e-3)).tolist()
+        [True, False]
+    """
+    return np.asarray(sample_variance, np.float64) < target.variance * target.max_spp
 
 
 def oracle_count(sample_variance: ArrayLike, target: Target) -> np.ndarray:
@@ -167,7 +193,8 @@ class Summary(NamedTuple):
             bounds; NaN where it never is.
         image_rmse, image_rmse_se: root of the mean squared error of a frame's result.
         regret: samples over those of an oracle whose mean delivered variance is the same.
-        regret_q95: the same for the variance that 95 % of the pixels and frames keep.
+        regret_q95: the same for the variance that 95 % of the pixels and frames keep whose target is
+            within reach.
     """
 
     mean_count: float
@@ -181,12 +208,11 @@ class Summary(NamedTuple):
     regret_q95: float
 
 
-def summarize(found: Statistics, target: Target) -> Summary:
+def summarize(found: Statistics) -> Summary:
     """The figures of a scenario, of the frames from `found.first` on.
 
     Args:
         found: the statistics of many seeds of independent samples.
-        target: what is aimed at.
 
     Returns:
         `Summary`.
@@ -195,11 +221,11 @@ def summarize(found: Statistics, target: Target) -> Summary:
         >>> import jax
         >>> from sssfit.scenarios import circle, driver, policies
         >>> world, policy = circle.uniform(60), policies.named("oracle", target_variance=0.0064)
-        >>> found = collect(driver.chunks(jax.random.key(0), world, policy, seeds=2), world)
-        >>> round(summarize(found, Target(0.0064)).oracle_count, 2)
+        >>> found = collect(driver.chunks(jax.random.key(0), world, policy, seeds=2), world, Target(0.0064))
+        >>> round(summarize(found).oracle_count, 2)
         42.69
     """
-    first = found.first
+    first, target = found.first, found.target
     count, error = (by_seed[:, first:].mean(axis=1) for by_seed in (found.count_by_seed, found.error_by_seed))
     variance, delivered = found.sample_variance[first:], found.delivered[first:]
     ideal = variance / target.variance
@@ -214,12 +240,12 @@ def summarize(found: Statistics, target: Target) -> Summary:
         float(delivered[inside].mean() / target.variance) if inside.any() else float("nan"),
         rmse,
         standard_error(error) / (2 * rmse) if rmse > 0 else 0.0,
-        regret(found, target),
-        regret(found, target, level="q95"),
+        regret(found),
+        regret(found, level="q95"),
     )
 
 
-def regret(found: Statistics, target: Target, *, level: Level = "mean") -> float:
+def regret(found: Statistics, *, level: Level = "mean") -> float:
     """Samples spent over the samples of an oracle that delivers the same.
 
     The oracle has the same bounds and knows the variance of every pixel's samples; its target is what is
@@ -228,8 +254,8 @@ def regret(found: Statistics, target: Target, *, level: Level = "mean") -> float
 
     Args:
         found: the statistics of many seeds of independent samples.
-        target: gives the bounds.
-        level: compare the "mean", or "q95", the variance that 95 % of the pixels and frames keep.
+        level: compare the "mean", or "q95", the variance that 95 % of the pixels and frames keep whose
+            target is within reach.
 
     Returns:
         The ratio, 1 for the oracle itself up to rounding of its counts. NaN where no oracle within the
@@ -241,18 +267,21 @@ def regret(found: Statistics, target: Target, *, level: Level = "mean") -> float
         >>> import jax
         >>> from sssfit.scenarios import circle, driver, policies
         >>> world, fixed = circle.uniform(60), policies.named("fixed", spp=16)
-        >>> found = collect(driver.chunks(jax.random.key(0), world, fixed, seeds=2), world)
-        >>> round(regret(found, Target(0.0064)), 6)
+        >>> found = collect(driver.chunks(jax.random.key(0), world, fixed, seeds=2), world, Target(0.0064))
+        >>> round(regret(found), 6)
         1.0
     """
 
-    def measured(delivered: np.ndarray) -> float:
-        return float(delivered.mean() if level == "mean" else np.quantile(delivered, 0.95))
-
+    target = found.target
     variance, spent = found.sample_variance[found.first :], float(found.count[found.first :].mean())
+    reachable = within_reach(variance, target)
+
+    def measured(delivered: np.ndarray) -> float:
+        return float(delivered.mean() if level == "mean" else _kept(delivered[None], reachable)[0])
+
     wanted = measured(found.delivered[found.first :]) if level == "mean" else found.delivered_q95
     least, most = (measured(variance / count) for count in (target.max_spp, target.min_spp))
-    if not least <= wanted <= most or wanted == 0:
+    if not 0 < least <= wanted <= most:
         return float("nan")
     low, high = wanted / 1e3, max(float(variance.max()) / target.min_spp, wanted)
     for _ in range(60):
@@ -301,6 +330,13 @@ def count_quantiles(histogram: np.ndarray, shares: ArrayLike) -> np.ndarray:
     cumulative = np.cumsum(histogram, axis=1) / histogram.sum(axis=1, keepdims=True)
     below = cumulative[:, :, None] < np.asarray(shares) - 1e-12
     return below.sum(axis=1)
+
+
+def _kept(delivered: np.ndarray, reachable: np.ndarray) -> np.ndarray:
+    """What 95 % of the reachable pixels and frames keep, of each seed."""
+    if not reachable.any():
+        return np.full(len(delivered), np.nan)
+    return np.quantile(delivered[:, reachable], 0.95, axis=1)
 
 
 def _flat(leaf: ArrayLike, frames: int) -> np.ndarray:

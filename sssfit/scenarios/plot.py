@@ -6,19 +6,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from sssfit.scenarios.batch_mean import FIRST, Entry, Residuals
-from sssfit.scenarios.measure import Statistics, Target, count_quantiles, oracle_count
+from sssfit.scenarios.measure import Statistics, count_quantiles, oracle_count
 
 _BLUE, _RED, _GREEN, _GREY = "#2b5fb3", "#c8322d", "#2e8b3d", "#777777"
 _COLOURS = (_GREY, "#8a5a00", "#5b3c88", _BLUE, _RED, _GREEN)
 _DPI = 110
 
 
-def circle(found: Statistics, target: Target, *, title: str, one: np.ndarray) -> bytes:
+def circle(found: Statistics, *, title: str, one: np.ndarray) -> bytes:
     """Counts, variance and result of one pixel over time, with bands over the seeds.
 
     Args:
         found: the statistics; of several pixels the mean is drawn.
-        target: what was aimed at.
         title: of the picture.
         one: the results of one seed, (frames,).
 
@@ -30,15 +29,15 @@ def circle(found: Statistics, target: Target, *, title: str, one: np.ndarray) ->
         >>> from sssfit.scenarios import circle as scenario, driver, measure, policies
         >>> world, fixed = scenario.uniform(60), policies.named("fixed")
         >>> record = driver.run(jax.random.key(0), world, fixed, seeds=2)
-        >>> found = measure.collect([record], world)
-        >>> circle(found, Target(0.0064), title="fixed", one=record.value[0])[1:4]
+        >>> found = measure.collect([record], world, measure.Target(0.0064))
+        >>> circle(found, title="fixed", one=record.value[0])[1:4]
         b'PNG'
     """
     figure, panels = _figure(title, 2, 2, (10.5, 6.6))
     counts, variances, results, shares = panels.ravel()
-    frames = np.arange(1, len(found.truth) + 1)
+    frames, target = np.arange(1, len(found.truth) + 1), found.target
     band = count_quantiles(found.histogram, (0.05, 0.95)).T
-    _draw_counts(counts, frames, found, target, band, "5-95 % of the seeds")
+    _draw_counts(counts, frames, found, band, "5-95 % of the seeds")
     variances.plot(
         frames, found.variance.mean(axis=1), color=_BLUE, lw=1.3, label="believed by the controller"
     )
@@ -62,14 +61,11 @@ def circle(found: Statistics, target: Target, *, title: str, one: np.ndarray) ->
     return _png(figure)
 
 
-def line(
-    found: Statistics, target: Target, *, title: str, x: np.ndarray, light: np.ndarray, intensity: np.ndarray
-) -> bytes:
+def line(found: Statistics, *, title: str, x: np.ndarray, light: np.ndarray, intensity: np.ndarray) -> bytes:
     """Counts, variance and result along a line and over time.
 
     Args:
         found: the statistics.
-        target: what was aimed at.
         title: of the picture.
         x: of the texels, mm.
         light: irradiance on the texels at intensity 1, (texels,).
@@ -84,13 +80,13 @@ def line(
         >>> x = scenario.centres(16, 4.0)
         >>> world = scenario.world(scenario.step(x)[None].repeat(3, 0), length=4.0, d=0.1)
         >>> records = driver.chunks(jax.random.key(0), world, policies.named("as"), seeds=2)
-        >>> found = measure.collect(records, world, first=0)
-        >>> line(found, Target(1e-4), title="as", x=x, light=scenario.step(x), intensity=np.ones(3))[1:4]
+        >>> found = measure.collect(records, world, measure.Target(1e-4), first=0)
+        >>> line(found, title="as", x=x, light=scenario.step(x), intensity=np.ones(3))[1:4]
         b'PNG'
     """
     figure, panels = _figure(title, 2, 3, (14.5, 7.2))
     frames = np.arange(1, len(found.truth) + 1)
-    first = found.first
+    first, target = found.first, found.target
     (lit, along, counts), (over_time, variances, errors) = panels
     lit.fill_between(x, light, color="#e8c35a", alpha=0.6, lw=0, label="light")
     lit.plot(
@@ -114,7 +110,7 @@ def line(
     figure.colorbar(image, ax=counts, label="mean count [spp]")
     counts.set(xlabel="x [mm]", ylabel="frame")
     band = np.quantile(found.count_by_seed, (0.05, 0.95), axis=0)
-    _draw_counts(over_time, frames, found, target, band, "5-95 % of the seeds' means")
+    _draw_counts(over_time, frames, found, band, "5-95 % of the seeds' means")
     over_time.plot(
         frames, intensity / intensity.max() * target.max_spp, color="#b08a1e", lw=0.8, label="light"
     )
@@ -182,9 +178,10 @@ def batch_mean(entries: dict[str, Sequence[Entry]], streams: dict[str, Residuals
     return _png(figure)
 
 
-def _draw_counts(axes, frames, found: Statistics, target: Target, band: np.ndarray, label: str) -> None:
+def _draw_counts(axes, frames, found: Statistics, band: np.ndarray, label: str) -> None:
     """Mean count over time with its band, and the oracle's."""
     low, high = band
+    target = found.target
     axes.fill_between(frames, low, high, color=_BLUE, alpha=0.2, lw=0, label=label, step="mid")
     axes.plot(frames, found.count.mean(axis=1), color=_BLUE, lw=1.3, label="mean count")
     ideal = oracle_count(found.sample_variance, target).mean(axis=1)

@@ -189,7 +189,7 @@ def named(
             "ocv" with online control variates, "ccv" with the constant coefficient 1; "unreal", what the
             engine ships; "in_frame"; "fixed"; "oracle".
         target_variance: variance of a frame's result to aim at, > 0; all but "fixed".
-        alpha: weight of the newest frame; by default 0.2, for "in_frame" 0.05.
+        alpha: weight of the newest frame; by default 0.2, for "in_frame" 0.02.
         kappa: share of the correction; "spvg", "as", "ocv" and "ccv".
         min_spp, max_spp: bounds of the count; all but "fixed".
         spp: the count; "fixed".
@@ -235,7 +235,7 @@ def named(
 #: The names that `named` knows.
 NAMES = ("spvg", "as", "ocv", "ccv", "unreal", "in_frame", "fixed", "oracle")
 #: Weight of the newest frame in `in_frame`, by default, and in its gain where points are not independent.
-IN_FRAME_ALPHA, GAIN_ALPHA = 0.05, 0.02
+IN_FRAME_ALPHA, GAIN_ALPHA = 0.02, 0.02
 
 
 def _of(sampled: Sampled) -> tuple[Array, Array, Array]:

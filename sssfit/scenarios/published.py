@@ -88,8 +88,8 @@ def _line() -> Iterator[Row]:
         for controller in ("as", "ocv", "ccv") if name == "sine" else ("as",):
             policy = policies.named(controller)
             records = driver.chunks(jax.random.key(1), world, policy, seeds=_LINE_SEEDS)
-            statistics = measure.collect(records, world, first=0)
-            found[name, controller] = measure.summarize(statistics, measure.Target(1e-4))
+            statistics = measure.collect(records, world, measure.Target(1e-4), first=0)
+            found[name, controller] = measure.summarize(statistics)
     adaptive, online, constant = (found["sine", name] for name in ("as", "ocv", "ccv"))
     static = found["static", "as"]
     relative = math.hypot(

@@ -23,6 +23,7 @@ _KEPT_NUMBERS = 2_000_000
 def simulate(
     world: World,
     policy: Policy,
+    target: Target,
     *,
     seeds: int,
     seed: int = 0,
@@ -34,8 +35,11 @@ def simulate(
     """Simulate many seeds, and keep the first ones' records.
 
     Args:
-        world, policy, seeds, start, sequence: as for `driver.chunks`.
+        world, policy: as for `driver.chunks`.
+        target: what is aimed at.
+        seeds: as for `driver.chunks`.
         seed: of the key.
+        start, sequence: as for `driver.chunks`.
         first: the first frame of the figures, as for `measure.collect`.
         progress: called with the seeds done and their total.
 
@@ -47,7 +51,7 @@ def simulate(
 
     Example:
         >>> from sssfit.scenarios import circle, policies
-        >>> found, record = simulate(circle.uniform(60), policies.named("as"), seeds=3)
+        >>> found, record = simulate(circle.uniform(60), policies.named("as"), Target(1e-4), seeds=3)
         >>> found.seeds, record.count.shape
         (3, (3, 60))
     """
@@ -69,19 +73,20 @@ def simulate(
             yield record
 
     progress(0, seeds)
-    found = measure.collect(records(), world, first=first, progress=lambda done: progress(done, seeds))
+    found = measure.collect(
+        records(), world, target, first=first, progress=lambda done: progress(done, seeds)
+    )
     return found, jax.tree.map(lambda *leaves: np.concatenate(leaves), *kept)
 
 
 def write_circle(
-    out: str | Path, found: Statistics, record: Record, target: Target, options: Mapping[str, Any]
+    out: str | Path, found: Statistics, record: Record, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Write a circle's simulation.
 
     Args:
         out: the directory, made if missing.
         found, record: as `simulate` returns them.
-        target: what was aimed at.
         options: what the simulation was asked for, for the summary and the manifest; with "controller".
 
     Returns:
@@ -93,13 +98,13 @@ def write_circle(
     Example:
         >>> import tempfile
         >>> from sssfit.scenarios import circle, policies
-        >>> found, record = simulate(circle.uniform(60), policies.named("as"), seeds=3)
+        >>> found, record = simulate(circle.uniform(60), policies.named("as"), Target(1e-4), seeds=3)
         >>> with tempfile.TemporaryDirectory() as out:
-        ...     summary = write_circle(out, found, record, Target(0.0064), {"controller": "as"})
+        ...     summary = write_circle(out, found, record, {"controller": "as"})
         >>> round(summary["oracle_count"], 2)
-        42.69
+        64.0
     """
-    figures = measure.summarize(found, target)
+    figures, target = measure.summarize(found), found.target
     steady = found.histogram[found.first :].sum(axis=0)
     share = steady / steady.sum()
     error = found.error_by_seed[:, found.first :].mean(axis=1)
@@ -125,8 +130,8 @@ def write_circle(
         "regret": figures.regret,
         "regret_q95": figures.regret_q95,
     }
-    picture = plot.circle(found, target, title=_title(options, figures), one=_first_pixel(record.value))
-    _write(out, options, summary, _arrays(found, record), picture, {"frames": _by_frame(found, target)})
+    picture = plot.circle(found, title=_title(options, figures), one=_first_pixel(record.value))
+    _write(out, options, summary, _arrays(found, record), picture, {"frames": _by_frame(found)})
     return summary
 
 
@@ -134,7 +139,6 @@ def write_line(
     out: str | Path,
     found: Statistics,
     record: Record,
-    target: Target,
     options: Mapping[str, Any],
     *,
     static: Statistics,
@@ -145,7 +149,7 @@ def write_line(
     """Write a line's simulation.
 
     Args:
-        out, found, record, target, options: as for `write_circle`.
+        out, found, record, options: as for `write_circle`.
         static: statistics of the same controller under light that stays.
         x, light, intensity: as for `plot.line`.
 
@@ -160,14 +164,14 @@ def write_line(
         >>> from sssfit.scenarios import line, policies
         >>> x = line.centres(16, 4.0)
         >>> world = line.world(line.ramp(x)[None].repeat(60, 0), length=4.0, d=0.05)
-        >>> found, record = simulate(world, policies.named("as"), seeds=2, first=0)
+        >>> found, record = simulate(world, policies.named("as"), Target(1e-4), seeds=2, first=0)
         >>> shown = {"static": found, "x": x, "light": line.ramp(x), "intensity": np.ones(60)}
         >>> with tempfile.TemporaryDirectory() as out:
-        ...     summary = write_line(out, found, record, Target(1e-4), {"controller": "as"}, **shown)
+        ...     summary = write_line(out, found, record, {"controller": "as"}, **shown)
         >>> summary["static_ratio"]
         1.0
     """
-    figures = measure.summarize(found, target)
+    figures = measure.summarize(found)
     summary = {
         **options,
         "seeds": found.seeds,
@@ -186,8 +190,8 @@ def write_line(
         "regret_q95": figures.regret_q95,
     }
     title = _title(options, figures)
-    picture = plot.line(found, target, title=title, x=x, light=light, intensity=intensity)
-    ideal = measure.oracle_count(found.sample_variance, target)
+    picture = plot.line(found, title=title, x=x, light=light, intensity=intensity)
+    ideal = measure.oracle_count(found.sample_variance, found.target)
     texels = {
         "x_mm": x,
         "irradiance": light,
@@ -199,7 +203,7 @@ def write_line(
         "squared_error": found.squared_error.mean(axis=0),
         "coefficient": found.coefficient.mean(axis=0),
     }
-    frames = {"intensity": intensity, **_by_frame(found, target)}
+    frames = {"intensity": intensity, **_by_frame(found)}
     tables = {"frames": {"frame": frames.pop("frame"), **frames}, "texels": texels}
     _write(out, options, summary, _arrays(found, record) | {"x_mm": x}, picture, tables)
     return summary
@@ -271,7 +275,7 @@ def _first_pixel(values: Any) -> np.ndarray:
     return np.asarray(values[0]).reshape(values.shape[1], -1)[:, 0]
 
 
-def _by_frame(found: Statistics, target: Target) -> dict[str, np.ndarray]:
+def _by_frame(found: Statistics) -> dict[str, np.ndarray]:
     low, middle, high = measure.count_quantiles(found.histogram, (0.05, 0.5, 0.95)).T
     return {
         "frame": np.arange(1, len(found.truth) + 1),
@@ -281,7 +285,7 @@ def _by_frame(found: Statistics, target: Target) -> dict[str, np.ndarray]:
         "count_q05": low,
         "count_q50": middle,
         "count_q95": high,
-        "oracle_count": measure.oracle_count(found.sample_variance, target).mean(axis=1),
+        "oracle_count": measure.oracle_count(found.sample_variance, found.target).mean(axis=1),
         "believed_variance": found.variance.mean(axis=1),
         "delivered_variance": found.delivered.mean(axis=1),
         "squared_error": found.squared_error.mean(axis=1),
