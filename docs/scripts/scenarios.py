@@ -2,7 +2,7 @@
 
 Run from the repository root, all studies in about ten minutes on two cores, or some of them:
 
-    python docs/scripts/scenarios.py [circle] [line] [regret] [tune] [under]
+    python docs/scripts/scenarios.py [pictures] [circle] [line] [regret] [tune] [under]
 """
 
 import sys
@@ -23,7 +23,18 @@ import interleaved
 import page
 
 from sssfit.files.arrays import csv_bytes
-from sssfit.scenarios import circle, driver, light, line, measure, policies, tune, writing
+from sssfit.scenarios import (
+    batch_mean,
+    circle,
+    driver,
+    light,
+    line,
+    measure,
+    plot,
+    policies,
+    tune,
+    writing,
+)
 from sssfit.scenarios.measure import Target
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -404,7 +415,31 @@ def shortfall(world, policy, seeds: int) -> float:
     return short / asked
 
 
+# --- pictures of single simulations
+
+
+def study_pictures() -> None:
+    images = DOCS / "images"
+    policy = policies.named("spvg", target_variance=CIRCLE.variance, kappa=0.0)
+    found, record = writing.simulate(circle.uniform(FRAMES), policy, CIRCLE, seeds=2000, start="cold")
+    title = "The 2020 controller on the circle, kappa 0, cold start"
+    (images / "scenarios_circle.png").write_bytes(plot.circle(found, title=title, one=record.value[0]))
+    x, intensity = line.centres(TEXELS, LENGTH), light.sine(120)
+    world = lit_line(line.ramp, intensity)
+    for name, title in (("as", "Adaptive sampling"), ("in_frame", "The in-frame controller")):
+        found = simulate(world, policies.named(name), LINE, 16, first=0)
+        picture = plot.line(
+            found, title=f"{title} on the ramp under a sine", x=x, light=line.ramp(x), intensity=intensity
+        )
+        (images / f"scenarios_line_{name}.png").write_bytes(picture)
+    key = jax.random.key(0)
+    entries = {lit: batch_mean.table(key, lit, seeds=1000) for lit in batch_mean.LIGHTS}
+    streams = {lit: batch_mean.simulate(jax.random.key(5), lit) for lit in batch_mean.LIGHTS}
+    (images / "scenarios_batch_mean.png").write_bytes(plot.batch_mean(entries, streams))
+
+
 STUDIES = {
+    "pictures": study_pictures,
     "circle": study_circle,
     "line": study_line,
     "regret": study_regret,
