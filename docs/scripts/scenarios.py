@@ -206,8 +206,7 @@ def regret_worlds() -> dict[str, tuple[driver.World, Target]]:
         "circle, sine 5 Hz": (circle.uniform(light.sine(FRAMES, frequency=5.0)), CIRCLE),
     }
     worlds |= {f"ramp, {name}": (lit_line(line.ramp, intensity), LINE) for name, intensity in LIGHTS.items()}
-    for name in ("static", "sine 1 Hz", "on/off 1 Hz"):
-        worlds[f"step, {name}"] = (lit_line(line.step, LIGHTS[name]), LINE)
+    worlds |= {f"step, {name}": (lit_line(line.step, intensity), LINE) for name, intensity in LIGHTS.items()}
     return worlds | {"sweep": (sweep(), LINE)}
 
 

@@ -13,8 +13,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `sssfit` with these arguments (those of the process by default).
 
     Returns:
-        The exit code: 0, 1 for a fit that did not converge or a bound that failed, 2 for bad input or an
-        interruption.
+        The exit code: 0, 1 for a fit that did not converge or a bound or row that failed, 2 for bad input or
+        an interruption.
 
     Example:
         >>> main(["fit", "c", "--objective", "mean_radius", "--quiet"])

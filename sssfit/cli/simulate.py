@@ -184,7 +184,7 @@ def run_line(options: argparse.Namespace) -> int:
     from sssfit.scenarios import light, line, writing
 
     intensity, policy, target = _world_options(options)
-    x = line.centres(options.texels, options.length) if options.texels > 0 else np.zeros(0)
+    x = line.centres(options.texels, options.length)
     if options.profile in line.PROFILES:
         lit = line.PROFILES[options.profile](x, amplitude=options.amplitude)
     else:

@@ -114,12 +114,17 @@ def centres(texels: int, length: float) -> np.ndarray:
     Returns:
         Positions from the line's start, mm, float64, shape (texels,).
 
+    Raises:
+        ValueError: there is no texel.
+
     Source: none; half a texel from the edges.
 
     Example:
         >>> centres(4, 2.0).tolist()
         [0.25, 0.75, 1.25, 1.75]
     """
+    if texels < 1:
+        raise ValueError(f"texels must be at least 1, got {texels}")
     return (np.arange(texels) + 0.5) * (length / texels)
 
 

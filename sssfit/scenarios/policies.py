@@ -89,10 +89,15 @@ class Fixed(eqx.Module):
     """The same count everywhere and always.
 
     Attributes:
-        spp: samples per pixel, >= 0.
+        spp: samples per pixel, >= 1.
     """
 
     spp: ArrayLike
+
+    def __check_init__(self):
+        """Refuse a count that is known to be out of its domain; a traced one passes."""
+        if isinstance(self.spp, int | float) and not self.spp >= 1:
+            raise ValueError(f"spp must be at least 1, got {self.spp}")
 
     @property
     def max_spp(self) -> ArrayLike:
