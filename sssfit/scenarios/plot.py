@@ -164,9 +164,8 @@ def batch_mean(entries: dict[str, Sequence[Entry]], streams: dict[str, Residuals
             xlabel="frame", ylabel="coefficient", title=f"{light}, one seed", ylim=(-0.5, best + 1)
         )
         errors.axvline(FIRST, color="#222222", ls=":", lw=1)
-        errors.set(
-            xlabel="frame", ylabel="root of the residual's moving variance", title=f"{light}, one seed"
-        )
+        errors.set(xlabel="frame", ylabel="root of the residual's moving variance", yscale="log")
+        errors.set_title(f"{light}, one seed")
         places = np.arange(len(rows))
         median = np.array([row.median for row in rows])
         low, high = (np.array([getattr(row, name) for row in rows]) for name in ("low", "high"))
