@@ -24,8 +24,8 @@ example:
   sssfit simulate batch-mean --seeds 1000 --out batch_mean
 """
 _OUTPUTS = """
-Written are summary.json, a picture, CSV and NPZ files of counts, variances and results, manifest.json and
-timing.json. The same options give the same bytes on the same kind of machine, except timing.json.
+Written are summary.json, a picture, CSV and NPZ files of counts, variances and results, and manifest.json.
+The same options give the same bytes on the same kind of machine.
 """
 
 
@@ -102,7 +102,7 @@ def add_command(commands) -> None:
     add(
         "batch-mean",
         "Table B.1 of the dissertation",
-        "The five coefficients and residuals of the dissertation's appendix B, and its ground truth.",
+        "The five residuals of the dissertation's appendix B, and its ground truth.",
         _BATCH_EXAMPLE,
         run_batch_mean,
         1000,
@@ -165,7 +165,7 @@ def run_circle(options: argparse.Namespace) -> int:
         world = circle.uniform(intensity)
     else:
         world = circle.beam(intensity, distance=options.distance, radius=options.radius, d=options.d)
-    with _progress(options) as show:
+    with _writable(options), _progress(options) as show:
         found, record = writing.simulate(world, policy, target, **_run_options(options), progress=show)
         summary = writing.write_circle(options.out, found, record, _asked(options))
     print(
@@ -196,7 +196,7 @@ def run_line(options: argparse.Namespace) -> int:
         world = line.world(irradiance, **shape)
         return writing.simulate(world, policy, target, **_run_options(options), first=0, progress=show)
 
-    with _progress(options) as show:
+    with _writable(options), _progress(options) as show:
         found, record = simulate(intensity, show)
         unchanged = light.static(options.frames)
         static = found if np.array_equal(intensity, unchanged) else simulate(unchanged, show)[0]
@@ -214,7 +214,7 @@ def run_batch_mean(options: argparse.Namespace) -> int:
     """Run `sssfit simulate batch-mean`."""
     from sssfit.scenarios import writing
 
-    with _progress(options) as show:
+    with _writable(options), _progress(options) as show:
         summary = writing.write_batch_mean(options.out, seeds=options.seeds, seed=options.seed, progress=show)
     for light in ("static", "dynamic"):
         medians = ", ".join(f"{row['name']} {row['median']:.4f}" for row in summary[light])
@@ -264,10 +264,24 @@ def _run_options(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _asked(options: argparse.Namespace) -> dict[str, Any]:
-    """The options, for the record; files by their names alone."""
-    left_out = ("run", "out", "quiet", "frames", "seeds")
+    """The options, for the record; files by their names, and what was in them."""
+    from sssfit.files.json_text import sha256_bytes
+    from sssfit.files.reading import read_bytes
+
+    left_out = ("run", "out", "quiet")
     asked = {name: value for name, value in vars(options).items() if name not in left_out}
-    return asked | {name: Path(asked[name]).name for name in ("light", "profile")}
+    files = {name: Path(asked[name]) for name in ("light", "profile") if asked[name].endswith(".csv")}
+    inputs = {name: sha256_bytes(read_bytes(path)) for name, path in files.items()}
+    return asked | {name: path.name for name, path in files.items()} | {"inputs_sha256": inputs}
+
+
+def _writable(options: argparse.Namespace):
+    """Find out before the work, and not after it, whether its result can be written."""
+    from sssfit.files.atomic import staged_directory
+
+    if not options.out:
+        raise ValueError("--out must name a directory; use . for the current one")
+    return staged_directory(options.out)
 
 
 @contextmanager
@@ -276,8 +290,6 @@ def _progress(options: argparse.Namespace) -> Iterator[Callable[[int, int], None
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    if not options.out:
-        raise ValueError("--out must name a directory; use . for the current one")
     columns = (TextColumn("seeds"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     visible = sys.stderr is not None and sys.stderr.isatty() and not options.quiet
     with Progress(*columns, console=Console(file=sys.stderr), disable=not visible) as progress:

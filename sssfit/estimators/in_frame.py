@@ -74,7 +74,7 @@ class Gain(eqx.Module):
 
 
 class History(eqx.Module):
-    """What a pixel remembers: three numbers of its shape, six with a gain.
+    """What a pixel remembers: four numbers of its shape, seven with a gain.
 
     Attributes:
         square_deviation: fading sum of the samples' squared deviations from their frame's mean, in units of
@@ -102,8 +102,10 @@ def init(like: ArrayLike, controller: Controller, *, dtype: DTypeLike | None = N
 
     Args:
         like: anything of the pixels' shape and dtype.
-        controller: the constants; with a gain_alpha there are six numbers.
-        dtype: what to keep the history in, such as jnp.float16; that of `like` by default.
+        controller: the constants; with a gain_alpha there are seven numbers.
+        dtype: what to keep the history in, such as jnp.float16; that of `like` by default. Half precision
+            ends at 65504: where the samples' variance is some thousand times G^2 + target, the sums stay
+            there, the counts are at their upper bound, and `safety` is lost.
 
     Example:
         >>> float(init(0.0, Controller(1e-3)).degrees)
@@ -141,7 +143,8 @@ def safety(history: History) -> Array:
 
     A frame's variance is the sample's over the count, and the mean of an inverse is above the inverse of
     the mean: by the estimate's relative variance, for small ones. For hits that are rare and alike it comes
-    to one hit more than were seen, which is exact for the Poisson distribution.
+    to about one hit more than were seen, which for a Poisson number of mean m is exact but for a factor
+    1 - exp(-m).
 
     Args:
         history: what it is decided from.
@@ -199,7 +202,8 @@ def next_count(
         missing: where the history is not this pixel's and is not looked at; so is a lost one.
 
     Returns:
-        int32 within the controller's bounds: sample variance times gain over the target variance.
+        int32 within the controller's bounds: sample variance times safety and gain over the target
+        variance.
 
     Source: Xie and Olano 2021, Eq 10, of the variance expected here.
 
@@ -242,8 +246,9 @@ def update(
         valid: where False the history stays as it is, unless it was missing.
 
     Returns:
-        A `History` of the same structure, shape and dtype. In a frame that is black where there was light
-        before, control and all samples 0, nothing is learned: the lamp is off.
+        A `History` of the same structure, shape and dtype. Where there was light before, nothing is
+        learned from a frame in which control, result and spread are all of the target's size or below it:
+        the lamp is off. The first light after darkness starts afresh.
 
     Raises:
         ValueError: an argument does not broadcast to the history's shape, or the history was made without
@@ -264,10 +269,16 @@ def update(
     mean, square_deviation, count, control = (jnp.asarray(v, wide) for v in given.values())
     fresh = jnp.asarray(missing) | history.is_lost
     old = jax.tree.map(lambda v: jnp.where(fresh, 0, v.astype(wide)), history)
-    is_black = (control == 0) & (mean == 0) & (square_deviation == 0)
-    is_lamp_off = is_black & (old.lit_degrees > old.degrees / 2)
-    learned = jnp.asarray(valid) & (count >= 2) & ~is_lamp_off
     degrees, scale = jnp.maximum(count - 1, 1), _scale(control, controller)
+    is_lit = jnp.square(control) >= scale / 2
+    # Light that comes on shows what the dark could not.
+    is_dawn = is_lit & (old.lit_degrees < old.degrees / 2)
+    old = jax.tree.map(lambda v: jnp.where(is_dawn, 0, v), old)
+    learned = (
+        jnp.asarray(valid)
+        & (count >= 2)
+        & ~_is_lamp_off(old, mean, square_deviation / degrees, scale, is_lit)
+    )
     relative, lit = square_deviation / scale, jnp.square(control) / scale
     # Of a first frame nothing was expected; normal samples would have this.
     unforeseen = jnp.sqrt(2 / degrees) * relative
@@ -286,6 +297,16 @@ def update(
     new = eqx.tree_at(lambda h: h.square_deviation, new, jnp.where(lost, jnp.nan, new.square_deviation))
     unlearned = _recursion.choose(fresh, jax.tree.map(jnp.zeros_like, history), history)
     return _recursion.choose(learned, new, unlearned)
+
+
+def _is_lamp_off(old: History, mean: Array, variance: Array, scale: Array, is_lit: Array) -> Array:
+    """Whether a frame is too dark to say anything of a pixel that has mostly been lit.
+
+    Its own light, its result and its spread are all below what the target calls noise; a pixel in a
+    shadow that still receives light from around is none.
+    """
+    is_dark = ~is_lit & (jnp.square(mean) < scale) & (variance < scale)
+    return is_dark & (old.lit_degrees > old.degrees / 2)
 
 
 def _scale(control: Array, controller: Controller) -> Array:

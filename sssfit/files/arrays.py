@@ -13,7 +13,7 @@ def csv_bytes(columns: Mapping[str, ArrayLike]) -> bytes:
     """A CSV file of columns of one length.
 
     Args:
-        columns: 1-D by name. Floats get the fewest digits that give them back.
+        columns: 1-D by name. Floats get the fewest digits that give them back in float64.
 
     Returns:
         UTF-8, a header line and a line for each row.

@@ -18,7 +18,7 @@ class Output:
 
     Attributes:
         manifest: what is written as manifest.json at the end; its "files" lists those that were put.
-        timing: what is written as timing.json, outside the promise of the same bytes.
+        timing: what is written as timing.json, if anything, outside the promise of the same bytes.
     """
 
     def __init__(self, staging: Path, manifest: dict[str, Any]):
@@ -39,14 +39,15 @@ class Output:
 
     def _finish(self) -> None:
         self._write("manifest.json", json_text(self.manifest).encode())
-        self._write("timing.json", json_text(self.timing).encode())
+        if self.timing:
+            self._write("timing.json", json_text(self.timing).encode())
 
 
 @contextmanager
 def output_directory(
     out: str | os.PathLike[str], manifest: dict[str, Any], packages: Sequence[str] = ()
 ) -> Iterator[Output]:
-    """Write files, manifest.json and timing.json into a directory, together at the end.
+    """Write files, manifest.json and, if there are times, timing.json into a directory, together at the end.
 
     Args:
         out: the directory, made if missing. On a failure or Ctrl-C nothing of the new files appears, and
@@ -66,7 +67,7 @@ def output_directory(
         ...     with output_directory(folder, {"options": {}}) as output:
         ...         output.put("a.txt", b"1")
         ...     sorted(path.name for path in Path(folder).iterdir())
-        ['a.txt', 'manifest.json', 'timing.json']
+        ['a.txt', 'manifest.json']
     """
     versions = {name: version(name) for name in (*_PACKAGES, *packages)}
     with staged_directory(out) as staging:

@@ -5,7 +5,7 @@ import math
 import jax.numpy as jnp
 from jax import Array
 
-# Coefficients of sin(pi s) / s in s^2, up to the power that leaves 1e-9 at s = 1/2.
+# Coefficients of sin(pi s) / s in s^2, up to the power that leaves 6e-12 at s = 1/2.
 _COEFFICIENTS = [(-1) ** k * math.pi ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(8)]
 
 

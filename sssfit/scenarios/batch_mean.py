@@ -1,9 +1,9 @@
 """Two functions sampled together under one light: which coefficient and which residual to take.
 
 f(y, t) = h(t) / (1 + y) and g(y, t) = h(t) (1 - y) on [0, 1], 16 samples a frame of both at the same points,
-h = 1 or h = 1 + 3 sin(t / 10). Five ways to remove g from f, and the best constant one, are judged by the
-root of the residual's moving variance: static light should leave it as high as without a control, since
-samples are counted by it, and moving light should not raise it.
+h = 1 or h = 1 + 3 sin(t / 10). No control, four ways to remove g from f, and the best constant one are
+judged by the root of the residual's moving variance: static light should leave it as high as without a
+control, since samples are counted by it, and moving light should not raise it.
 
 The dissertation leaves the start open. Taken here, as it reproduces the table: moments begin with the first
 frame, residuals with the first frame that a coefficient exists for, and neither epsilon nor bounds are used.

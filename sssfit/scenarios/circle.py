@@ -32,9 +32,8 @@ class Circle(eqx.Module):
     """A world of one circle of light; made by `uniform` or `beam`. See `driver.World` for the answers."""
 
     intensity: Array
-    distance: Array
-    radius: Array
-    d: Array
+    distance_in_d: Array
+    radius_in_d: Array
     truth: Array
     sample_variance: Array
     control: Array
@@ -46,11 +45,11 @@ class Circle(eqx.Module):
         if self.profile == "uniform":
             inside = jnp.sum(jnp.square(uniform - 0.5), axis=0) < 0.25
         else:
-            r = inverse_cdf.log_poly12(uniform[0], self.d)
-            # Distances to the beam's centre as sums of positive terms, which do not cancel.
+            r = inverse_cdf.log_poly12(uniform[0], 1.0)
+            x, radius = self.distance_in_d, self.radius_in_d
+            # Squared distance to the centre less squared radius, by factors: large ones would cancel.
             facing = 1 + cosine_of_half_turn(uniform[1])
-            squared = jnp.square(self.distance - r) + 2 * self.distance * r * facing
-            inside = squared < jnp.square(self.radius)
+            inside = (x - r - radius) * (x - r + radius) + 2 * x * r * facing < 0
         return jnp.where(inside, IRRADIANCE * self.intensity[frame], 0)
 
 
@@ -75,7 +74,7 @@ def uniform(intensity: ArrayLike) -> Circle:
         1.0
     """
     intensity = _frames(intensity)
-    return _world(intensity, np.zeros(()), math.pi / 4, 0.5, 1.0, "uniform")
+    return _world(intensity, np.zeros(()), 0.5, math.pi / 4, "uniform")
 
 
 def beam(intensity: ArrayLike, *, distance: ArrayLike, radius: float, d: float) -> Circle:
@@ -88,9 +87,9 @@ def beam(intensity: ArrayLike, *, distance: ArrayLike, radius: float, d: float) 
         d: Burley's shape parameter, mm, > 0.
 
     Returns:
-        A world of the distances' shape, albedo 1: the truth is 4 I / pi times `hit_probability` P, the
-        sample variance (4 I / pi)^2 P (1 - P), the control 4 I / pi within the beam and 0 outside, the
-        surround 4 I / pi everywhere.
+        A world of the distances' shape, albedo 1, whose lengths over d are rounded to its dtype: the truth
+        is 4 I / pi times `hit_probability` P, the sample variance (4 I / pi)^2 P (1 - P), the control
+        4 I / pi within the beam and 0 outside, the surround 4 I / pi everywhere.
 
     Raises:
         ValueError: as `uniform`; a length is out of its domain.
@@ -102,9 +101,13 @@ def beam(intensity: ArrayLike, *, distance: ArrayLike, radius: float, d: float) 
         >>> world.truth.shape, round(float(world.truth[0, 0]), 3)
         ((1, 2), 0.74)
     """
-    distance = np.asarray(distance, np.float64)
-    probability = hit_probability(distance, radius=radius, d=d)
-    return _world(_frames(intensity), distance, probability, radius, d, "burley")
+    distance, intensity = np.asarray(distance, np.float64), _frames(intensity)
+    _check_lengths(distance, radius, d)
+    # What is sampled, which in float32 is not quite what was given.
+    x, edge = (
+        (length / d).astype(intensity.dtype).astype(np.float64) for length in (distance, np.float64(radius))
+    )
+    return _world(intensity, x, edge, hit_probability(x, radius=float(edge), d=1.0), "burley")
 
 
 def hit_probability(distance: ArrayLike, *, radius: float, d: float) -> np.ndarray:
@@ -116,8 +119,8 @@ def hit_probability(distance: ArrayLike, *, radius: float, d: float) -> np.ndarr
         d: Burley's shape parameter, mm, > 0.
 
     Returns:
-        Integral of Burley's profile over the disc, float64, within 1e-12; pi radius^2 times the mean of the
-        profile over it. 1 - exp(-...) at the centre, where it is the cdf.
+        Integral of Burley's profile over the disc, float64, with an error below 1e-12; pi radius^2 times
+        the mean of the profile over it. At the centre it is the cdf of the radius.
 
     Raises:
         ValueError: a length is out of its domain.
@@ -129,12 +132,16 @@ def hit_probability(distance: ArrayLike, *, radius: float, d: float) -> np.ndarr
         0.5
     """
     distance = np.asarray(distance, np.float64)
+    _check_lengths(distance, radius, d)
+    return _hit_probability(distance / d, radius / d)
+
+
+def _check_lengths(distance: np.ndarray, radius: float, d: float) -> None:
     if not (np.isfinite(distance).all() and (distance >= 0).all()):
         raise ValueError(f"distance must be at least 0 and finite, in mm, got {distance.tolist()}")
     for name, length in (("radius", radius), ("d", d)):
         if not 0 < length < math.inf:
             raise ValueError(f"{name} must be a positive length in mm, got {length}")
-    return _hit_probability(distance / d, radius / d)
 
 
 def _hit_probability(distance: np.ndarray, radius: float) -> np.ndarray:
@@ -156,8 +163,8 @@ def _hit_probability(distance: np.ndarray, radius: float) -> np.ndarray:
 
 def _frames(intensity: ArrayLike) -> np.ndarray:
     """Intensities of the frames, from a number of frames or as given."""
-    if isinstance(intensity, int):
-        intensity = np.ones(max(intensity, 0), np.float32)
+    if isinstance(intensity, int | np.integer):
+        intensity = np.ones(max(int(intensity), 0), np.float32)
     intensity = np.asarray(intensity)
     # Without JAX's 64-bit mode float64 is float32.
     intensity = intensity.astype(jax.dtypes.canonicalize_dtype(np.result_type(np.float32, intensity.dtype)))
@@ -168,11 +175,11 @@ def _frames(intensity: ArrayLike) -> np.ndarray:
     return intensity
 
 
-def _world(intensity, distance, probability, radius, d, profile) -> Circle:
+def _world(intensity, distance, radius, probability, profile) -> Circle:
     light = IRRADIANCE * intensity.reshape(-1, *(1,) * distance.ndim).astype(np.float64)
     probability, inside = np.broadcast_to(probability, distance.shape), distance < radius
     answers = (light * probability, light**2 * probability * (1 - probability), light * inside)
     shape = (intensity.size, *distance.shape)
     answers = (*answers, np.broadcast_to(light, shape))
-    given = (intensity, distance, np.asarray(radius), np.asarray(d), *answers)
+    given = (intensity, distance, np.asarray(radius), *answers)
     return Circle(*(jnp.asarray(v, intensity.dtype) for v in given), profile=profile)

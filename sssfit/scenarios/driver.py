@@ -285,7 +285,7 @@ def chunks(
         seeds: how many independent repetitions, >= 1.
         most: the largest count that the policy can ask for; by default its `max_spp`.
         start, sequence: as for `step`.
-        chunk: seeds at a time; by default as many as fit into some 16 MB.
+        chunk: seeds at a time at most; by default as many as fit into some 16 MB.
 
     Yields:
         `Record` of NumPy arrays (chunk, frames, *pixels), the last one with the seeds that are left.
@@ -307,9 +307,13 @@ def chunks(
         raise ValueError(f"seeds must be at least 1, got {seeds}")
     most = largest_count(policy) if most is None else most
     size = world.truth.size * len(Record._fields)
-    chunk = min(seeds, max(1, _CHUNK_NUMBERS // size) if chunk is None else chunk)
+    if most < 1:
+        raise ValueError(f"most must be at least 1, got {most}")
+    chunk = max(1, _CHUNK_NUMBERS // size) if chunk is None else chunk
     if chunk < 1:
         raise ValueError(f"chunk must be at least 1, got {chunk}")
+    # Chunks of nearly one size, so that the last is not drawn for nothing.
+    chunk = -(-seeds // -(-seeds // chunk))
     for first in range(0, seeds, chunk):
         # The last chunk is as long as the others, so that it needs no program of its own.
         numbers = jnp.arange(first, first + chunk)

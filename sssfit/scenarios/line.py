@@ -28,6 +28,8 @@ from sssfit.scenarios._direction import cosine_of_half_turn
 
 Kernel = Literal["line", "radial"]
 KERNELS: tuple[Kernel, ...] = get_args(Kernel)
+#: The masses between all texels are kept at once.
+MAX_TEXELS = 8192
 #: How far, in units of d, the light around a pixel is looked at: what comes from beyond is below 3 %.
 SURROUND_REACH = 10.0
 
@@ -88,6 +90,8 @@ def world(irradiance: ArrayLike, *, length: float, d: float, kernel: Kernel = "l
         raise ValueError(f"irradiance must have shape (frames, texels), got {irradiance.shape}")
     if not (np.isfinite(irradiance).all() and (irradiance >= 0).all()):
         raise ValueError("irradiance must be finite and at least 0 everywhere")
+    if irradiance.shape[1] > MAX_TEXELS:
+        raise ValueError(f"texels must be at most {MAX_TEXELS}, got {irradiance.shape[1]}")
     for name, value in (("length", length), ("d", d)):
         if not 0 < value < math.inf:
             raise ValueError(f"{name} must be a positive length in mm, got {value}")
@@ -97,8 +101,11 @@ def world(irradiance: ArrayLike, *, length: float, d: float, kernel: Kernel = "l
     lit = irradiance.astype(dtype).astype(np.float64)
     texels_per_d = d / length * lit.shape[1]
     masses = texel_masses(lit.shape[1], texels_per_d, kernel)
-    truth = lit @ masses.T
-    variance = np.maximum(np.square(lit) @ masses.T - np.square(truth), 0)
+    # Around each frame's mean, so that the second moment does not cancel; the masses sum to 1.
+    level = lit.mean(axis=1, keepdims=True)
+    above = (lit - level) @ masses.T
+    truth = level + above
+    variance = np.maximum(np.square(lit - level) @ masses.T - np.square(above), 0)
     answers = (truth, variance, lit, lit @ _surround_weights(lit.shape[1], texels_per_d).T)
     arrays = (jnp.asarray(v, dtype) for v in (irradiance, texels_per_d, *answers))
     return Line(*arrays, kernel=kernel)
@@ -231,12 +238,17 @@ def texel_masses(texels: int, texels_per_d: float, kernel: Kernel = "line") -> n
         Shape (texels, texels), float64, rows of pixels summing to 1: the first and last texel stand for all
         that lies beyond them.
 
+    Raises:
+        ValueError: there is no texel.
+
     Source: differences of the integrated line spread, dissertation Eq 2.65.
 
     Example:
         >>> texel_masses(3, 0.5).round(3).tolist()
         [[0.777, 0.142, 0.081], [0.223, 0.554, 0.223], [0.081, 0.142, 0.777]]
     """
+    if texels < 1:
+        raise ValueError(f"texels must be at least 1, got {texels}")
     with jax.enable_x64(True):
         edges = jnp.arange(texels) + 0.5
         if kernel == "line":
@@ -255,8 +267,9 @@ def texel_masses(texels: int, texels_per_d: float, kernel: Kernel = "line") -> n
 
 def _surround_weights(texels: int, texels_per_d: float) -> np.ndarray:
     """Rows of equal weights for the texels around each pixel, ends repeated beyond the ends."""
-    reach = max(1, round(SURROUND_REACH * texels_per_d))
-    weights = np.zeros((texels, texels))
-    seen = np.clip(np.arange(texels)[:, None] + np.arange(-reach, reach + 1), 0, texels - 1)
-    np.add.at(weights, (np.arange(texels)[:, None], seen), 1 / (2 * reach + 1))
-    return weights
+    reach = max(1.0, round(SURROUND_REACH * texels_per_d))
+    place = np.arange(texels)
+    weights = (np.abs(place[:, None] - place) <= reach).astype(np.float64)
+    weights[:, 0] += np.maximum(reach - place, 0)
+    weights[:, -1] += np.maximum(reach - (texels - 1 - place), 0)
+    return weights / (2 * reach + 1)

@@ -16,6 +16,7 @@ from sssfit.scenarios.driver import Record, World
 
 #: The first frame, from 0, of what is called steady.
 STEADY = 50
+_ROUNDING = 1e-9
 #: What a regret compares.
 Level = Literal["mean", "q95"]
 
@@ -47,9 +48,11 @@ class Statistics(NamedTuple):
         histogram: how often each count occurred in each frame, over all pixels, (frames, largest + 1).
         truth, sample_variance: the world's, (frames, pixels).
         target: what was aimed at.
+        independent: whether the samples were; if not, delivered variances are squared errors.
         first: the first frame of what the figures of `summarize` are made of.
         delivered_q95: the delivered variance that 95 % of the pixels and frames keep whose target is
-            within reach of the largest count, mean over the seeds; NaN where none is.
+            within reach of the largest count, mean over the seeds; NaN where none is, or samples are not
+            independent.
     """
 
     seeds: int
@@ -67,13 +70,14 @@ class Statistics(NamedTuple):
     truth: np.ndarray
     sample_variance: np.ndarray
     target: Target
+    independent: bool
     first: int
     delivered_q95: float
 
     @property
     def delivered(self) -> np.ndarray:
-        """Mean variance of a frame's result given its count, (frames, pixels)."""
-        return self.sample_variance * self.inverse_count
+        """Mean variance of a frame's result, given its count if samples are independent, (frames, pixels)."""
+        return self.sample_variance * self.inverse_count if self.independent else self.squared_error
 
 
 def collect(
@@ -82,6 +86,7 @@ def collect(
     target: Target,
     *,
     first: int = STEADY,
+    independent: bool = True,
     progress: Callable[[int], None] = lambda seeds: None,
 ) -> Statistics:
     """Means over the seeds of all records.
@@ -91,6 +96,7 @@ def collect(
         world: whose records they are.
         target: what was aimed at.
         first: the first frame, from 0, that counts in `summarize`; below the number of frames.
+        independent: whether the samples are; points of low discrepancy are not.
         progress: called with the seeds so far after each.
 
     Returns:
@@ -138,8 +144,8 @@ def collect(
         raise ValueError("records must hold at least one seed, got none")
     means = [part / seeds for part in sums]
     counts, errors = (np.concatenate(parts) for parts in zip(*by_seed, strict=True))
-    q95 = float(np.concatenate(kept).mean())
-    rest = (histogram, truth, sample_variance, target, first, q95)
+    q95 = float(np.concatenate(kept).mean()) if independent else float("nan")
+    rest = (histogram, truth, sample_variance, target, independent, first, q95)
     return Statistics._make((seeds, counts, errors, *means, *rest))
 
 
@@ -212,10 +218,10 @@ def summarize(found: Statistics) -> Summary:
     """The figures of a scenario, of the frames from `found.first` on.
 
     Args:
-        found: the statistics of many seeds of independent samples.
+        found: the statistics of many seeds.
 
     Returns:
-        `Summary`.
+        `Summary`; regrets are NaN for samples that are not independent, which the oracle's are.
 
     Example:
         >>> import jax
@@ -250,7 +256,8 @@ def regret(found: Statistics, *, level: Level = "mean") -> float:
 
     The oracle has the same bounds and knows the variance of every pixel's samples; its target is what is
     looked for. By the mean alone a fixed count does as well as the oracle where neither is clamped, since
-    both spend mean(variance) / mean delivered; a quantile tells them apart.
+    both spend mean(variance) / mean delivered; a quantile tells them apart. Neither is the cheapest way to
+    its own level, so that a ratio may be below 1: the oracle also serves those above the quantile.
 
     Args:
         found: the statistics of many seeds of independent samples.
@@ -281,8 +288,10 @@ def regret(found: Statistics, *, level: Level = "mean") -> float:
 
     wanted = measured(found.delivered[found.first :]) if level == "mean" else found.delivered_q95
     least, most = (measured(variance / count) for count in (target.max_spp, target.min_spp))
-    if not 0 < least <= wanted <= most:
+    # Rounding must not decide at the bounds themselves.
+    if not found.independent or not 0 < least * (1 - _ROUNDING) <= wanted <= most * (1 + _ROUNDING):
         return float("nan")
+    wanted = min(max(wanted, least), most)
     low, high = wanted / 1e3, max(float(variance.max()) / target.min_spp, wanted)
     for _ in range(60):
         middle = np.sqrt(low * high)

@@ -102,7 +102,7 @@ def line(found: Statistics, *, title: str, x: np.ndarray, light: np.ndarray, int
         found.count,
         origin="lower",
         aspect="auto",
-        extent=(x[0], x[-1], 1, len(frames)),
+        extent=(0, x[0] + x[-1], 0.5, len(frames) + 0.5),
         vmin=0,
         vmax=target.max_spp,
         cmap="viridis",
@@ -112,7 +112,11 @@ def line(found: Statistics, *, title: str, x: np.ndarray, light: np.ndarray, int
     band = np.quantile(found.count_by_seed, (0.05, 0.95), axis=0)
     _draw_counts(over_time, frames, found, band, "5-95 % of the seeds' means")
     over_time.plot(
-        frames, intensity / intensity.max() * target.max_spp, color="#b08a1e", lw=0.8, label="light"
+        frames,
+        intensity / max(intensity.max(), 1e-30) * target.max_spp,
+        color="#b08a1e",
+        lw=0.8,
+        label="light",
     )
     over_time.legend(frameon=False, fontsize=8)
     for values, colour, label in (

@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -82,7 +83,7 @@ class InFrame(eqx.Module):
         expected = in_frame.sample_variance(state, light, self.controller) * in_frame.sequence_gain(state)
         state = in_frame.update(state, *_of(sampled), light, self.controller, missing=known.missing)
         drawn = jnp.maximum(sampled.count, 1)
-        return state, Learned(sampled.mean, expected / drawn, in_frame.sequence_gain(state))
+        return state, Learned(sampled.mean, expected / drawn, jnp.zeros_like(expected))
 
 
 class Fixed(eqx.Module):
@@ -96,7 +97,9 @@ class Fixed(eqx.Module):
 
     def __check_init__(self):
         """Refuse a count that is known to be out of its domain; a traced one passes."""
-        if isinstance(self.spp, int | float) and not self.spp >= 1:
+        if isinstance(self.spp, int | float | np.ndarray | np.generic) and not np.all(
+            np.asarray(self.spp) >= 1
+        ):
             raise ValueError(f"spp must be at least 1, got {self.spp}")
 
     @property
@@ -191,8 +194,8 @@ def named(
 
     Args:
         name: one of `NAMES`: "spvg" and "as", adaptive sampling as in the 2020 and 2021 papers, are the same;
-            "ocv" with online control variates, "ccv" with the constant coefficient 1; "unreal", what the
-            engine ships; "in_frame"; "fixed"; "oracle".
+            "ocv" with online control variates, "ccv" with the constant coefficient 1; "unreal", the rule
+            that the engine ships; "in_frame"; "fixed"; "oracle".
         target_variance: variance of a frame's result to aim at, > 0; all but "fixed".
         alpha: weight of the newest frame; by default 0.2, for "in_frame" 0.02.
         kappa: share of the correction; "spvg", "as", "ocv" and "ccv".
@@ -213,10 +216,11 @@ def named(
     """
     if light not in (None, *LIGHTS):
         raise ValueError(f"light must be one of {', '.join(LIGHTS)}, got {light!r}")
+    # Refuses bad constants also where the controller has no use for them, but the figures have.
+    sample_count.Controller(target_variance, min_spp=min_spp, max_spp=max_spp)
     if name == "fixed":
         return Fixed(spp)
     if name == "oracle":
-        sample_count.Controller(target_variance, min_spp=min_spp, max_spp=max_spp)  # refuses bad constants
         return Oracle(target_variance, min_spp, max_spp)
     if name == "in_frame":
         alpha = IN_FRAME_ALPHA if alpha is None else alpha
@@ -224,10 +228,10 @@ def named(
         return InFrame(controller, light or "surround")
     alpha = 0.2 if alpha is None else alpha
     if name == "unreal":
-        controller = eqx.tree_at(
-            lambda c: (c.target_variance, c.alpha, c.min_spp, c.max_spp),
-            sample_count.UNREAL,
-            (target_variance, alpha, min_spp, max_spp),
+        rules = {"metric": sample_count.UNREAL.metric, "kappa": sample_count.UNREAL.kappa}
+        rules["variance_when_missing"] = sample_count.UNREAL.variance_when_missing
+        controller = sample_count.Controller(
+            target_variance, alpha, min_spp=min_spp, max_spp=max_spp, **rules
         )
         return Adaptive(control_variate.Config(controller, constant=0.0))
     if name not in NAMES:

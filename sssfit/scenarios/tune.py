@@ -206,6 +206,9 @@ def samples_at(found: Candidates, error: float) -> float:
     Returns:
         Interpolated linearly in the logarithms along the front; NaN outside it.
 
+    Raises:
+        ValueError: there is no candidate.
+
     Source: none; linear interpolation.
 
     Example:
@@ -214,6 +217,8 @@ def samples_at(found: Candidates, error: float) -> float:
         2.0
     """
     kept = front(found.samples, found.error)
+    if not len(kept):
+        raise ValueError("found must hold at least one candidate, got none")
     x, y = np.log(found.error[kept])[::-1], np.log(found.samples[kept])[::-1]
     if not x[0] <= np.log(error) <= x[-1]:
         return float("nan")

@@ -72,9 +72,16 @@ def simulate(
                 kept.append(Record(*(leaf[:missing] for leaf in record)))
             yield record
 
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"seed must be in [0, 2^32), got {seed}")
     progress(0, seeds)
     found = measure.collect(
-        records(), world, target, first=first, progress=lambda done: progress(done, seeds)
+        records(),
+        world,
+        target,
+        first=first,
+        independent=sequence == "iid",
+        progress=lambda done: progress(done, seeds),
     )
     return found, jax.tree.map(lambda *leaves: np.concatenate(leaves), *kept)
 
@@ -234,6 +241,8 @@ def write_batch_mean(
         >>> summary["static"][0]["name"]
         'Res_f'
     """
+    if not 0 <= seed < 2**32:
+        raise ValueError(f"seed must be in [0, 2^32), got {seed}")
     key = jax.random.key(seed)
     entries, streams = {}, {}
     for light in batch_mean.LIGHTS:
@@ -266,7 +275,7 @@ def write_batch_mean(
 def _title(options: Mapping[str, Any], figures: measure.Summary) -> str:
     named = ("controller", "kappa", "alpha", "light", "profile", "start", "sequence")
     shown = ", ".join(f"{name} {options[name]}" for name in named if options.get(name) is not None)
-    counts = f"mean count {figures.mean_count:.2f}, oracle {figures.oracle_count:.2f}"
+    counts = f"mean count {figures.mean_count:.2f}, oracle of independent samples {figures.oracle_count:.2f}"
     return f"{shown}\n{counts}, delivered variance {figures.delivered_over_target:.3f} x target"
 
 
