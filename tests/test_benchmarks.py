@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sssfit.estimators import in_frame, sample_count
 from sssfit.sampling import inverse_cdf as methods
+from sssfit.scenarios import circle, line
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
@@ -221,3 +223,117 @@ def test_where_associative_is_faster_is_interpolated(load):
     assert found(4, 2, 1, 0.5)[0][0] == pytest.approx(1024)
     assert module.described(found(0.5, 2, 0.5)) == "16 to 45, from 360 on"
     assert module.described([]) == "nowhere"
+
+
+@pytest.fixture
+def rivals(load):
+    return load("scenarios_rivals")
+
+
+def some_pixels(bounds):
+    """Numbers that pixels may remember, within bounds, and draw; the last pixel has seen nothing."""
+    numbers = np.random.default_rng(0)
+    shares = numbers.uniform(0, 1, (len(bounds), 500)) ** 2
+    memory = [np.append(low + (high - low) * s, 0.0) for (low, high), s in zip(bounds, shares, strict=True)]
+    drawn = np.append(numbers.integers(8, 64, 500), 8)
+    # Darkness is as frequent as light.
+    light, mean, deviation = numbers.uniform(0, 1, (3, 501)) ** 4
+    return memory, drawn, light, mean, deviation
+
+
+def test_rivals_follow_the_adaptive_controller(rivals, x64):
+    memory, drawn, light, mean, deviation = some_pixels([(8, 64), (0, 1), (0, 3e-3), (0, 0)])
+    ours, theirs = sample_count.PAPER_2020, rivals.adaptive(rivals.Bounds(1e-3), alpha=0.2, kappa=0.2)
+    history = sample_count.History(*map(jnp.asarray, memory[:3]))
+    counts = theirs.count(light, *memory)
+    np.testing.assert_array_equal(counts, sample_count.next_count(history, ours))
+    assert len(np.unique(counts)) > 30 and counts.min() == 8 and counts.max() == 64
+    for is_first in (False, True):
+        found = theirs.learn(is_first, drawn, mean, deviation, light, *memory)
+        wanted = sample_count.update(history, mean, drawn, ours, missing=is_first)
+        expected = np.stack([wanted.mean_count, wanted.mean, wanted.variance])
+        np.testing.assert_allclose(np.stack(found[:3]), expected, rtol=1e-13)
+
+
+def test_rivals_follow_the_controller_inside_the_frames(rivals, x64):
+    memory, drawn, light, mean, deviation = some_pixels([(0, 400), (20, 600), (0, 300), (0, 3)])
+    ours, theirs = in_frame.Controller(1e-2, alpha=0.05), rivals.in_frame(rivals.Bounds(1e-2), alpha=0.05)
+    total, degrees, lit_degrees, uncertainty = map(jnp.asarray, memory)
+    history = in_frame.History(total, degrees, lit_degrees, uncertainty, None)
+    counts = theirs.count(light, *memory)
+    np.testing.assert_array_equal(counts, in_frame.next_count(history, light, ours))
+    assert len(np.unique(counts)) > 30 and counts.min() == 8 and counts.max() == 64
+    for given in (memory, np.zeros((4, 501))):
+        is_first = given is not memory
+        found = np.stack(theirs.learn(is_first, drawn, mean, deviation, light, *given))
+        wanted = in_frame.update(history, mean, deviation, drawn, light, ours, missing=is_first)
+        expected = [wanted.square_deviation, wanted.degrees, wanted.lit_degrees, wanted.uncertainty]
+        np.testing.assert_allclose(found, np.stack(expected), rtol=1e-12)
+        # Lamps that are off, and that come on.
+        unchanged, afresh = np.sum(found[1] == memory[1]), np.sum(found[1] == drawn - 1)
+        assert (unchanged == 0 and afresh == 501) if is_first else (unchanged > 20 and afresh > 20)
+
+
+@pytest.fixture(params=["circle", "line"])
+def small(request, rivals):
+    """A scene with the fixed count 8, and the exact variance of each result."""
+    if request.param == "circle":
+        world, texels_per_d = circle.uniform(np.array([1.0, 2.0])), None
+        truth, lit = (np.asarray(values)[:, None] for values in (world.truth, world.control))
+    else:
+        lit = np.random.default_rng(0).uniform(0, 1, (2, 24)).astype(np.float32)
+        world, texels_per_d = line.world(lit, length=4.0, d=0.1), 0.6
+        truth = np.asarray(world.truth)
+    variance = np.asarray(world.sample_variance, np.float64) / 8
+    return rivals.Scene(lit, lit, truth, texels_per_d), rivals.Bounds(1.0, 8, 8), variance
+
+
+def assert_samples_are_fair(found, variance):
+    """Exact variances, and results that are independent of each other and near to normal."""
+    assert np.all(found.count == 8)
+    error = found.squared_error.std() / len(found.squared_error) ** 0.5
+    assert abs(found.squared_error.mean() - variance.mean()) < 4 * error
+    independent = np.sqrt(2 * np.mean(variance**2) / variance.size / len(found.squared_error))
+    assert error == pytest.approx(independent, rel=0.15)
+
+
+def test_samples_of_numpy_have_the_exact_variance(rivals, small):
+    scene, bounds, variance = small
+    controller = rivals.adaptive(bounds, alpha=0.2, kappa=0.2)
+    assert_samples_are_fair(rivals.by_numpy(scene, controller, bounds, 10_000), variance)
+
+
+@pytest.mark.parametrize("small", ["line", pytest.param("circle", marks=pytest.mark.slow)], indirect=True)
+def test_samples_of_numba_have_the_exact_variance(rivals, small):
+    pytest.importorskip("numba", reason="Numba is not installed: pip install sssfit[bench]")
+    scene, bounds, variance = small
+    run = rivals.by_numba(scene, rivals.adaptive(bounds, alpha=0.2, kappa=0.2))
+    assert_samples_are_fair(run(10_000, False), variance)
+
+
+def test_programs_that_disagree_are_not_timed(load):
+    module, by_seed = load("scenarios"), np.random.default_rng(0).normal(40, 1, (2, 100))
+    one, other = module.Outcome(*by_seed), module.Outcome(*by_seed[::-1])
+    module.check({"a": one, "b": other})
+    with pytest.raises(RuntimeError, match="a and b do not simulate the same: their mean squared error is"):
+        # Five standard errors of the difference.
+        module.check({"a": one, "b": other._replace(squared_error=one.squared_error + 5 * 0.02**0.5)})
+
+
+@pytest.mark.slow
+def test_simulations(load, page, capsys):
+    sizes = ["--circle-seeds", "64", "--circle-frames", "10", "--repeats", "1"]
+    sizes += ["--line-seeds", "32", "--line-frames", "10", "--texels", "32"]
+    module = load("scenarios")
+    results = module.main([*sizes, "--page", str(page)])
+    assert set(results) == {"spvg", "as", "in_frame"}
+    numbers = {"spvg": 64 * 10, "as": 32 * 10 * 32, "in_frame": 32 * 10 * 32}
+    for name, rows in results.items():
+        assert [row.name for row in rows[:2]] == ["sssfit", "NumPy, one core"]
+        for row in rows:
+            assert row.samples == pytest.approx(row.found.count.mean() * numbers[name])
+            assert 8 < row.found.count.mean() < 64 and row.seconds.shape == (1,) and row.seconds > 0
+    printed, written = capsys.readouterr().out, page.read_text()
+    assert all(text in written for text in printed.splitlines())
+    assert "`in_frame`, 32 seeds x 10 frames x 32 texels. A process that does" in written
+    assert (" Numba is not installed" in written) == (len(results["as"]) == 2)

@@ -42,7 +42,7 @@ def main():
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(["time", "intensity"])
             for frame, value in enumerate(intensity):
-                writer.writerow([f"{frame / light.FPS:.6f}", f"{value:.6f}"])
+                writer.writerow([repr(frame / light.FPS), f"{value:.6f}"])
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ does not tell. With `gain_alpha` the controller learns the ratio of the two from
 Source: derived here; the budget: Xie and Olano 2021, Eq 10; the control: its Eq 30.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -94,7 +96,8 @@ class History(eqx.Module):
     @property
     def is_lost(self) -> Array:
         """Where a NaN or an infinity has got in: as good as missing."""
-        return ~jnp.isfinite(self.square_deviation)
+        finite = [jnp.isfinite(leaf) for leaf in jax.tree.leaves(self)]
+        return ~functools.reduce(jnp.logical_and, finite)
 
 
 def init(like: ArrayLike, controller: Controller, *, dtype: DTypeLike | None = None) -> History:

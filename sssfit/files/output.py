@@ -34,7 +34,7 @@ class Output:
 
     def _write(self, path: str, content: bytes) -> None:
         target = self._staging / path
-        target.parent.mkdir(exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(content)
 
     def _finish(self) -> None:

@@ -9,6 +9,7 @@ Eq 5.7, whose print lacks the modulo; Jarzynski and Olano, "Hash functions for G
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -36,7 +37,7 @@ def r2(index: ArrayLike, shift: ArrayLike) -> Array:
         >>> [[round(float(x), 4) for x in row] for row in points]
         [[0.0, 0.7549, 0.5098], [0.0, 0.5698, 0.1397]]
     """
-    index, shift = jnp.asarray(index).astype(jnp.uint32), jnp.asarray(shift, jnp.uint32)
+    index, shift = _word(index), jnp.asarray(shift, jnp.uint32)
     moved = jnp.stack([shift[0] + index * jnp.uint32(_FIRST), shift[1] + index * jnp.uint32(_SECOND)])
     return _to_unit(moved)
 
@@ -60,7 +61,7 @@ def hashed(index: ArrayLike, shift: ArrayLike) -> Array:
         ((2, 1000), True)
     """
     shift = jnp.asarray(shift, jnp.uint32)
-    words = (shift[0], shift[1], jnp.asarray(index).astype(jnp.uint32))
+    words = (shift[0], shift[1], _word(index))
     x, y, z = (word * jnp.uint32(1664525) + jnp.uint32(1013904223) for word in words)
     x = x + y * z
     y = y + z * x
@@ -68,6 +69,12 @@ def hashed(index: ArrayLike, shift: ArrayLike) -> Array:
     x, y, z = (word ^ (word >> 16) for word in (x, y, z))
     x = x + y * z
     return _to_unit(jnp.stack([x, y + z * x]))
+
+
+def _word(index: ArrayLike) -> Array:
+    # On the host first, where a Python integer may have more than 32 bits.
+    wide = index if isinstance(index, Array) else np.asarray(index)
+    return jnp.asarray(wide.astype(np.uint32))
 
 
 def _to_unit(words: Array) -> Array:

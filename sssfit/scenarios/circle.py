@@ -119,8 +119,9 @@ def hit_probability(distance: ArrayLike, *, radius: float, d: float) -> np.ndarr
         d: Burley's shape parameter, mm, > 0.
 
     Returns:
-        Integral of Burley's profile over the disc, float64, with an error below 1e-12; pi radius^2 times
-        the mean of the profile over it. At the centre it is the cdf of the radius.
+        Integral of Burley's profile over the disc, float64, with an error below 1e-12, and 1e-9 for points
+        within a ten-thousandth of the edge; pi radius^2 times the mean of the profile over it. At the
+        centre it is the cdf of the radius.
 
     Raises:
         ValueError: a length is out of its domain.

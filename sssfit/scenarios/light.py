@@ -166,22 +166,23 @@ def load(path: str | Path, frames: int, *, fps: float = FPS) -> np.ndarray:
         [1.0, 1.0]
     """
     time = np.arange(_check(frames, fps)) / fps
-    given, intensity = read_columns(path, "time", "intensity")
-    if given[0] != 0:
-        raise FileError(path, "row 2", f"time begins with {given[0]:g}", "begin with 0")
+    given, intensity = read_columns(path, "time", "intensity", start=0.0)
     period = given[-1] * len(given) / (len(given) - 1) if len(given) > 1 else 1.0
     # In the step before the file begins anew it goes back to its first intensity.
     closed = (np.append(given, period), np.append(intensity, intensity[0]))
     return np.interp(time % period, *closed)
 
 
-def read_columns(path: str | Path, ascending: str, positive: str) -> tuple[np.ndarray, np.ndarray]:
+def read_columns(
+    path: str | Path, ascending: str, positive: str, *, start: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Two columns of a CSV file.
 
     Args:
         path: the file.
         ascending: name of a column whose numbers rise strictly.
         positive: name of a column whose numbers are not negative.
+        start: what the first must begin with; None leaves it free.
 
     Returns:
         Both, float64, shape (rows,).
@@ -200,6 +201,8 @@ def read_columns(path: str | Path, ascending: str, positive: str) -> tuple[np.nd
         if column not in columns:
             raise FileError(name, "row 1", f"there is no column {column!r}", f"name one of them {column!r}")
     first, second = (np.array([row.number(c) for row in rows]) for c in (ascending, positive))
+    if start is not None and first[0] != start:
+        raise rows[0].fault(f"{ascending} begins with {first[0]:g}", f"begin with {start:g}")
     for row, step in zip(rows[1:], np.diff(first), strict=True):
         if step <= 0:
             raise row.fault(f"{ascending} does not rise", "sort the rows and keep one of each")

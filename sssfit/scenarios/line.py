@@ -122,7 +122,7 @@ def centres(texels: int, length: float) -> np.ndarray:
         Positions from the line's start, mm, float64, shape (texels,).
 
     Raises:
-        ValueError: there is no texel.
+        ValueError: there is no texel, or no length.
 
     Source: none; half a texel from the edges.
 
@@ -132,6 +132,8 @@ def centres(texels: int, length: float) -> np.ndarray:
     """
     if texels < 1:
         raise ValueError(f"texels must be at least 1, got {texels}")
+    if not 0 < length < math.inf:
+        raise ValueError(f"length must be a positive length in mm, got {length}")
     return (np.arange(texels) + 0.5) * (length / texels)
 
 

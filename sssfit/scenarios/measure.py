@@ -50,8 +50,8 @@ class Statistics(NamedTuple):
         target: what was aimed at.
         independent: whether the samples were; if not, delivered variances are squared errors.
         first: the first frame of what the figures of `summarize` are made of.
-        delivered_q95: the delivered variance that 95 % of the pixels and frames keep whose target is
-            within reach of the largest count, mean over the seeds; NaN where none is, or samples are not
+        delivered_q95: the delivered variance that 95 % of the pixels and frames keep where the target
+            decides the oracle's count, mean over the seeds; NaN where none is, or samples are not
             independent.
     """
 
@@ -122,7 +122,7 @@ def collect(
     truth, sample_variance = (
         np.asarray(a, np.float64).reshape(frames, -1) for a in (world.truth, world.sample_variance)
     )
-    reachable = within_reach(sample_variance[first:], target)
+    unclamped = is_unclamped(sample_variance[first:], target)
     seeds, sums, by_seed, kept, histogram = 0, None, [], [], np.zeros((frames, 1), np.int64)
     for record in records:
         # float64 a record at a time; the records themselves are float32.
@@ -133,7 +133,7 @@ def collect(
             *(count, np.square(count), flat["value"], flat["variance"], flat["coefficient"], error),
             *(inverse, np.square(flat["mean"] - truth)),
         )
-        kept.append(_kept(sample_variance[first:] * inverse[:, first:], reachable))
+        kept.append(_kept(sample_variance[first:] * inverse[:, first:], unclamped))
         added = [part.sum(axis=0) for part in parts]
         sums = added if sums is None else [old + new for old, new in zip(sums, added, strict=True)]
         by_seed.append((count.mean(axis=2), error.mean(axis=2)))
@@ -149,23 +149,24 @@ def collect(
     return Statistics._make((seeds, counts, errors, *means, *rest))
 
 
-def within_reach(sample_variance: ArrayLike, target: Target) -> np.ndarray:
-    """Where the target takes no more samples than are allowed.
+def is_unclamped(sample_variance: ArrayLike, target: Target) -> np.ndarray:
+    """Where the target itself decides the oracle's count, and not a bound.
 
     Args:
         sample_variance: of one sample.
         target: the target.
 
     Returns:
-        Booleans.
+        Booleans: more than the least count and less than the largest would be taken.
 
-    Source: none; a comparison.
+    Source: none; two comparisons.
 
     Example:
-        >>> within_reach([0.01, 1.0], Target(1e-3)).tolist()
-        [True, False]
+        >>> is_unclamped([0.001, 0.01, 1.0], Target(1e-3)).tolist()
+        [False, True, False]
     """
-    return np.asarray(sample_variance, np.float64) < target.variance * target.max_spp
+    ideal = np.asarray(sample_variance, np.float64) / target.variance
+    return (ideal > target.min_spp) & (ideal < target.max_spp)
 
 
 def oracle_count(sample_variance: ArrayLike, target: Target) -> np.ndarray:
@@ -199,8 +200,8 @@ class Summary(NamedTuple):
             bounds; NaN where it never is.
         image_rmse, image_rmse_se: root of the mean squared error of a frame's result.
         regret: samples over those of an oracle whose mean delivered variance is the same.
-        regret_q95: the same for the variance that 95 % of the pixels and frames keep whose target is
-            within reach.
+        regret_q95: the same for the variance that 95 % of the pixels and frames keep where the target
+            decides the oracle's count.
     """
 
     mean_count: float
@@ -234,9 +235,7 @@ def summarize(found: Statistics) -> Summary:
     first, target = found.first, found.target
     count, error = (by_seed[:, first:].mean(axis=1) for by_seed in (found.count_by_seed, found.error_by_seed))
     variance, delivered = found.sample_variance[first:], found.delivered[first:]
-    ideal = variance / target.variance
-    oracle = oracle_count(variance, target)
-    inside = (ideal > target.min_spp) & (ideal < target.max_spp)
+    oracle, inside = oracle_count(variance, target), is_unclamped(variance, target)
     rmse = float(np.sqrt(error.mean()))
     return Summary(
         float(count.mean()),
@@ -261,8 +260,8 @@ def regret(found: Statistics, *, level: Level = "mean") -> float:
 
     Args:
         found: the statistics of many seeds of independent samples.
-        level: compare the "mean", or "q95", the variance that 95 % of the pixels and frames keep whose
-            target is within reach.
+        level: compare the "mean", or "q95", the variance that 95 % of the pixels and frames keep where
+            the target decides the oracle's count.
 
     Returns:
         The ratio, 1 for the oracle itself up to rounding of its counts. NaN where no oracle within the
@@ -281,10 +280,10 @@ def regret(found: Statistics, *, level: Level = "mean") -> float:
 
     target = found.target
     variance, spent = found.sample_variance[found.first :], float(found.count[found.first :].mean())
-    reachable = within_reach(variance, target)
+    unclamped = is_unclamped(variance, target)
 
     def measured(delivered: np.ndarray) -> float:
-        return float(delivered.mean() if level == "mean" else _kept(delivered[None], reachable)[0])
+        return float(delivered.mean() if level == "mean" else _kept(delivered[None], unclamped)[0])
 
     wanted = measured(found.delivered[found.first :]) if level == "mean" else found.delivered_q95
     least, most = (measured(variance / count) for count in (target.max_spp, target.min_spp))
@@ -292,12 +291,14 @@ def regret(found: Statistics, *, level: Level = "mean") -> float:
     if not found.independent or not 0 < least * (1 - _ROUNDING) <= wanted <= most * (1 + _ROUNDING):
         return float("nan")
     wanted = min(max(wanted, least), most)
-    low, high = wanted / 1e3, max(float(variance.max()) / target.min_spp, wanted)
-    for _ in range(60):
+    # Between all at the largest count and all at the least; of equals the cheapest, the largest target.
+    low = variance[variance > 0].min() / target.max_spp / 2
+    high = variance.max() / target.min_spp * 2
+    for _ in range(100):
         middle = np.sqrt(low * high)
-        counts = oracle_count(variance, target._replace(variance=middle))
-        low, high = (middle, high) if measured(variance / counts) < wanted else (low, middle)
-    return spent / float(oracle_count(variance, target._replace(variance=high)).mean())
+        there = measured(variance / oracle_count(variance, target._replace(variance=middle)))
+        low, high = (middle, high) if there <= wanted * (1 + 1e-14) else (low, middle)
+    return spent / float(oracle_count(variance, target._replace(variance=low)).mean())
 
 
 def standard_error(by_seed: np.ndarray) -> float:
@@ -341,11 +342,11 @@ def count_quantiles(histogram: np.ndarray, shares: ArrayLike) -> np.ndarray:
     return below.sum(axis=1)
 
 
-def _kept(delivered: np.ndarray, reachable: np.ndarray) -> np.ndarray:
-    """What 95 % of the reachable pixels and frames keep, of each seed."""
-    if not reachable.any():
+def _kept(delivered: np.ndarray, unclamped: np.ndarray) -> np.ndarray:
+    """What 95 % of the unclamped pixels and frames keep, of each seed."""
+    if not unclamped.any():
         return np.full(len(delivered), np.nan)
-    return np.quantile(delivered[:, reachable], 0.95, axis=1)
+    return np.quantile(delivered[:, unclamped], 0.95, axis=1)
 
 
 def _flat(leaf: ArrayLike, frames: int) -> np.ndarray:

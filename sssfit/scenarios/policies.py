@@ -218,6 +218,9 @@ def named(
         raise ValueError(f"light must be one of {', '.join(LIGHTS)}, got {light!r}")
     # Refuses bad constants also where the controller has no use for them, but the figures have.
     sample_count.Controller(target_variance, min_spp=min_spp, max_spp=max_spp)
+    for constant, given in (("max_spp", max_spp), ("spp", spp)):
+        if isinstance(given, int | float) and not given <= MAX_SPP:
+            raise ValueError(f"{constant} must be at most {MAX_SPP}, got {given}")
     if name == "fixed":
         return Fixed(spp)
     if name == "oracle":
@@ -241,6 +244,8 @@ def named(
     return Adaptive(control_variate.Config(controller, constant=constant), light or "control")
 
 
+#: More samples than any pixel is given.
+MAX_SPP = 2**20
 #: The names that `named` knows.
 NAMES = ("spvg", "as", "ocv", "ccv", "unreal", "in_frame", "fixed", "oracle")
 #: Weight of the newest frame in `in_frame`, by default, and in its gain where points are not independent.

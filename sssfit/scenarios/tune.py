@@ -4,8 +4,8 @@ Constants are drawn at random in their ranges, simulated in every scenario with 
 those kept that no other beats in both mean samples and delivered error: the Pareto front. What is on it has
 been chosen for being lucky as well as good, so its figures are measured again with seeds not used before.
 
-The delivered error is the standard deviation that 95 % of the pixels and frames keep whose wanted one is
-within reach of the largest count, in units of the wanted one. A mean over them would not tell a good
+The delivered error is the standard deviation that 95 % of the pixels and frames keep where the wanted
+variance decides the oracle's count, in units of the wanted one. A mean over them would not tell a good
 controller: see `measure.regret`.
 """
 
@@ -132,13 +132,13 @@ def evaluate(
     total = number * len(worlds)
     for place, (name, world) in enumerate(worlds.items()):
         ideal = measure.oracle_count(world.sample_variance[first:], wanted).mean()
-        reachable = measure.within_reach(world.sample_variance[first:], wanted)
+        unclamped = measure.is_unclamped(world.sample_variance[first:], wanted)
         rows = []
         for at in range(0, number, _CHUNK):
             progress(place * number + at, total)
             part = [np.resize(values[at : at + _CHUNK], min(_CHUNK, number)) for values in scaled.values()]
             stacked = {key_: jnp.asarray(v, jnp.float32) for key_, v in zip(scaled, part, strict=True)}
-            rows.append(np.asarray(_evaluate(keys, world, reachable, controller, stacked, most, first)))
+            rows.append(np.asarray(_evaluate(keys, world, unclamped, controller, stacked, most, first)))
         spent, kept = np.concatenate(rows)[:number].astype(np.float64).T
         by_scenario[name] = np.stack([spent / ideal, np.sqrt(kept / wanted.variance)], axis=1)
     progress(total, total)
@@ -150,7 +150,7 @@ def evaluate(
 def _evaluate(
     keys,
     world: World,
-    reachable: np.ndarray,
+    unclamped: np.ndarray,
     controller: str,
     constants: dict[str, Array],
     most: int,
@@ -165,7 +165,7 @@ def _evaluate(
             return driver.trajectory(key, world, policy, most=most).count[first:]
 
         counts = jax.vmap(seed_counts)(keys)
-        delivered = jnp.where(reachable, world.sample_variance[first:] / jnp.maximum(counts, 1), jnp.nan)
+        delivered = jnp.where(unclamped, world.sample_variance[first:] / jnp.maximum(counts, 1), jnp.nan)
         return jnp.stack([counts.mean(), jnp.nanquantile(delivered, 0.95)])
 
     return jax.vmap(one)(constants)

@@ -169,4 +169,4 @@ def test_the_help_says_how_long_it_takes(capsys):
     with pytest.raises(SystemExit):
         main(["reproduce", "--help"])
     printed = capsys.readouterr().out
-    assert "It takes several minutes" in printed and "sssfit reproduce --json --quiet" in printed
+    assert "It takes about a minute" in printed and "sssfit reproduce --json --quiet" in printed

@@ -12,7 +12,7 @@ import pytest
 from sssfit import tables
 from sssfit.cli.main import main
 from sssfit.files import atomic
-from sssfit.tables import writing
+from sssfit.files.output import Output
 
 HEADER = "material,unit,albedo_r,albedo_g,albedo_b,dmfp_r,dmfp_g,dmfp_b\n"
 SMALL = ["--size", "16", "--size-2d", "5", "--quiet"]
@@ -125,16 +125,16 @@ def earlier(wax, tmp_path):
 
 def test_a_disk_that_fills_up_leaves_earlier_outputs(wax, earlier, monkeypatch, capsys):
     out, before = earlier
-    count = 0
+    count, written = 0, Output.put
 
-    def put(staging, path, content, manifest):
+    def put(self, path, content):
         nonlocal count
         count += 1
         if count > 5:
             raise OSError(28, "No space left on device")
-        (staging / path).write_bytes(content)
+        written(self, path, content)
 
-    monkeypatch.setattr(writing, "_put", put)
+    monkeypatch.setattr(Output, "put", put)
     capsys.readouterr()
     assert main(["tables", str(wax), "--out", str(out), *SMALL]) == 2
     assert "the disk is full" in capsys.readouterr().err
@@ -156,16 +156,16 @@ def test_an_unwritable_directory(wax, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("moment", ["before anything is staged", "in the middle"])
 def test_interrupting_leaves_earlier_outputs(moment, wax, earlier, monkeypatch, capsys):
     out, before = earlier
-    steps = 0 if moment == "before anything is staged" else 4
+    steps, written = 0 if moment == "before anything is staged" else 4, Output.put
 
-    def interrupt(staging, path, content, manifest):
+    def interrupt(self, path, content):
         nonlocal steps
         if steps == 0:
             raise KeyboardInterrupt
         steps -= 1
-        (staging / path).write_bytes(content)
+        written(self, path, content)
 
-    monkeypatch.setattr(writing, "_put", interrupt)
+    monkeypatch.setattr(Output, "put", interrupt)
     capsys.readouterr()
     assert main(["tables", str(wax), "--out", str(out), *SMALL]) == 2
     assert capsys.readouterr().err == (

@@ -88,7 +88,7 @@ def pcg3d(x, y, z):
 @given(number=words, shift=st.tuples(words, words))
 def test_hashed_in_integers(number, shift):
     found = hashed(np.array([number], np.uint32), np.array([[s] for s in shift], np.uint32))
-    expected = [(word >> 8) / 2**24 for word in pcg3d(*shift, number)[:2]]
+    expected = [(word >> 8) / 2**24 for word in pcg3d(shift[0], shift[1], number)[:2]]
     assert np.asarray(found)[:, 0].tolist() == expected
 
 

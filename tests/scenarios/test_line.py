@@ -44,7 +44,7 @@ def by_quadrature(density, d):
         low, high = sorted((abs(low), abs(high)))
         # Nothing that counts comes from beyond 120 d.
         high = min(high, max(low, 120 * d))
-        value, error = quad(density, low, high, args=(d,), epsabs=1e-13, epsrel=1e-12, limit=400)
+        value, error, *_ = quad(density, low, high, (d,), epsabs=1e-13, epsrel=1e-12, limit=400)
         assert error < 2e-11
         return value
 
@@ -71,7 +71,7 @@ def test_masses_of_the_areal_profile():
 
     masses = line.texel_masses(TEXELS, d)
     for apart in (1, 3):
-        found, error = dblquad(areal, apart - 0.5, apart + 0.5, 0, 60 * d, epsabs=1e-10)
+        found, error, *_ = dblquad(areal, apart - 0.5, apart + 0.5, 0, 60 * d, epsabs=1e-10)
         assert abs(masses[4, 4 + apart] - 2 * found) < 1e-9 + 2 * error
     # The stripe that holds the singularity, around it in polar coordinates.
     nodes, weights = np.polynomial.legendre.leggauss(60)
@@ -263,10 +263,10 @@ def written(tmp_path):
 
 def test_a_profile_from_a_file(written):
     path = written("irradiance,x,note\n0,-1,left\n2,1,\n1,5,right\n")
-    found = line.load(path, [[-9.0, -1.0, 0.0], [2.0, 5.0, 9.0]])
+    found = line.load(path, np.array([[-9.0, -1.0, 0.0], [2.0, 5.0, 9.0]]))
     assert found.tolist() == [[0.0, 0.0, 1.0], [1.75, 1.0, 1.0]]
     assert found.dtype == np.float64
-    assert line.load(written("x,irradiance\n2,0.3\n"), [0.0, 5.0]).tolist() == [0.3, 0.3]
+    assert line.load(written("x,irradiance\n2,0.3\n"), np.array([0.0, 5.0])).tolist() == [0.3, 0.3]
 
 
 @pytest.mark.parametrize(
@@ -288,7 +288,7 @@ def test_a_profile_from_a_file(written):
 )
 def test_faults_of_files(written, text, message):
     with pytest.raises(FileError) as caught:
-        line.load(written(text), [0.0])
+        line.load(written(text), 0.0)
     assert str(caught.value) == f"profile.csv, {message}"
 
 
