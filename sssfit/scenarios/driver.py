@@ -279,7 +279,8 @@ def chunks(
     """All frames of a world for many seeds, some seeds at a time: what is kept of them is the caller's.
 
     Args:
-        key: of the whole run. A seed's numbers depend on it and the seed's number, not on the chunks.
+        key: of the whole run. A seed's numbers depend on it and the seed's number, not on the chunks,
+            whose size decides rounding alone.
         world: what is sampled, for as many frames as it has.
         policy: how many samples, and what is learned from them.
         seeds: how many independent repetitions, >= 1.

@@ -18,7 +18,6 @@ starts = pytest.mark.parametrize("start", driver.STARTS)
 # Frames are whole numbers here.
 draw: Any = eqx.filter_jit(driver.draw)
 step: Any = eqx.filter_jit(driver.step)
-trajectory: Any = eqx.filter_jit(driver.trajectory)
 eager_draw: Any = driver.draw
 known: Any = driver.known
 
@@ -92,7 +91,7 @@ def test_each_pixel_has_its_own_count(sequence):
     assert len(set(found.mean.tolist())) == 5 + 1
 
 
-@pytest.mark.parametrize("most", [1, 8, 9, 63])
+@pytest.mark.parametrize("most", [1, 9])
 def test_most_is_the_most_that_is_drawn(most):
     found = draw(jax.random.key(3), spy((3,)), 0, jnp.array([most - 1, most, 1000]), most=most)
     assert found.count.tolist() == [most - 1, most, most]
@@ -182,28 +181,24 @@ def test_what_is_known_before_a_frame():
     assert found.missing.shape == (5,) and bool(found.missing.all())
 
 
-def test_steps_by_hand_are_the_scan_and_the_run():
+def test_steps_by_hand_are_the_run():
     world, policy, key = flickering(), policies.named("in_frame"), jax.random.key(7)
     whole = driver.run(key, world, policy, seeds=3, most=MOST)
     for seed in (0, 2):
         seed_key = jax.random.fold_in(key, seed)
-        scanned = trajectory(seed_key, world, policy, most=MOST)
         state = policy.init(jnp.zeros(5))
         for frame in range(4):
             state, record = step(seed_key, world, policy, state, jnp.int32(frame), most=MOST)
-            assert np.array_equal(record.count, scanned.count[frame])
             assert np.array_equal(record.count, whole.count[seed, frame])
             # Compiled as a whole, sums round another way: a few eps of what they sum.
-            for mine, other, one in zip(record[1:], scanned[1:], whole[1:], strict=True):
-                np.testing.assert_allclose(mine, other[frame], rtol=1e-5, atol=1e-6)
-                np.testing.assert_allclose(mine, one[seed, frame], rtol=1e-5, atol=1e-6)
+            for mine, other in zip(record[1:], whole[1:], strict=True):
+                np.testing.assert_allclose(mine, other[seed, frame], rtol=1e-5, atol=1e-6)
 
 
-@sequences
-def test_not_compiled_as_compiled(sequence):
+def test_not_compiled_as_compiled():
     arguments = jax.random.key(8), spy((3,)), 0, jnp.array([5, 8, 20])
-    compiled = draw(*arguments, most=24, sequence=sequence)
-    for mine, other in zip(eager_draw(*arguments, most=24, sequence=sequence), compiled, strict=True):
+    compiled = draw(*arguments, most=24)
+    for mine, other in zip(eager_draw(*arguments, most=24), compiled, strict=True):
         np.testing.assert_allclose(mine, other, rtol=1e-5, atol=1e-6)
 
 
