@@ -14,6 +14,9 @@ from sssfit.files.errors import FileError
 from sssfit.scenarios import circle, driver, line, measure, policies, writing
 from sssfit.scenarios.measure import Target
 
+# Each simulation is a program to compile.
+pytestmark = pytest.mark.slow
+
 FRAMES, FIRST, SEEDS = 20, 5, 12
 CIRCLE_OPTIONS = {"controller": "as", "alpha": 0.2, "profile": "uniform", "seed": 3}
 LINE_OPTIONS = {"controller": "as", "light": "sine", "alpha": None}

@@ -12,6 +12,9 @@ from sssfit.scenarios import batch_mean, measure, plot
 from sssfit.scenarios.driver import Record
 from sssfit.scenarios.measure import Target
 
+# Each simulation is a program to compile.
+pytestmark = pytest.mark.slow
+
 #: Of one pixel's pictures and of a line's: inches times dots per inch.
 SIZES = {"circle": (1155, 726), "line": (1595, 792), "batch_mean": (1595, 836)}
 PANELS = {"circle": (2, 2), "line": (2, 3), "batch_mean": (2, 3)}
