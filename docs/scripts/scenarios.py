@@ -354,7 +354,7 @@ def draw_fronts(fronts: dict[str, tune.Candidates], presets: dict[str, tuple[flo
     axes.set_yticks((0.7, 0.8, 1, 1.2, 1.5, 2, 3), ["0.7", "0.8", "1", "1.2", "1.5", "2", "3"], minor=False)
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, loc="lower left")
     figure.savefig(DOCS / "images" / "scenarios_tune.png", metadata={"Software": None})
 
 
