@@ -22,6 +22,7 @@ import numpy as np
 from jax import Array
 
 from sssfit.estimators import control_variate, moving
+from sssfit.files.atomic import interrupt_deferred
 
 Light = Literal["static", "dynamic"]
 LIGHTS: tuple[Light, ...] = get_args(Light)
@@ -31,8 +32,8 @@ NAMES = ("Res_f", "SF", "SF+EMA", "EMCM", "EMCM_hat", "GT")
 FRAMES, SPP, FIRST = 100, 16, 24
 #: Weights of the newest frame: in the coefficient, and in the residual's variance.
 COEFFICIENT_ALPHA, RESIDUAL_ALPHA = 0.05, 0.2
-# The largest number of samples drawn at a time.
-_CHUNK_SAMPLES = 8_000_000
+# The largest number of samples drawn at a time: a second's work.
+_CHUNK_SAMPLES = 1_600_000
 
 
 class Moments(NamedTuple):
@@ -205,7 +206,10 @@ def table(
     parts = []
     for first in range(0, seeds, chunk):
         progress(first, seeds)
-        parts.append(np.asarray(_mean_errors(key, jnp.arange(first, first + chunk), light), np.float64))
+        # Ctrl-C inside compiled work crashes or is lost; between chunks it is safe.
+        with interrupt_deferred():
+            errors = _mean_errors(key, jnp.arange(first, first + chunk), light)
+            parts.append(np.asarray(errors, np.float64))
     progress(seeds, seeds)
     errors = np.concatenate(parts)[:seeds]
     low, quarter, median, three_quarters, high = np.percentile(errors, (0.5, 25, 50, 75, 99.5), axis=0)

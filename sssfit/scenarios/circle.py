@@ -187,6 +187,8 @@ def _world(intensity, distance, radius, probability, profile) -> Circle:
     light = IRRADIANCE * intensity.reshape(-1, *(1,) * distance.ndim).astype(np.float64)
     probability, inside = np.broadcast_to(probability, distance.shape), distance < radius
     answers = (light * probability, light**2 * probability * (1 - probability), light * inside)
+    if not light.max() ** 2 < float(jnp.finfo(intensity.dtype).max):
+        raise ValueError(f"intensity must have squares that fit {intensity.dtype}, got {intensity.max():g}")
     shape = (intensity.size, *distance.shape)
     answers = (*answers, np.broadcast_to(light, shape))
     given = (intensity, distance, np.asarray(radius), *answers)

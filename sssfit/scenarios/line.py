@@ -107,6 +107,8 @@ def world(irradiance: ArrayLike, *, length: float, d: float, kernel: Kernel = "l
     truth = level + above
     variance = np.maximum(np.square(lit - level) @ masses.T - np.square(above), 0)
     answers = (truth, variance, lit, lit @ _surround_weights(lit.shape[1], texels_per_d).T)
+    if not variance.max() < float(jnp.finfo(dtype).max):
+        raise ValueError(f"irradiance must have squares that fit {dtype}, got {irradiance.max():g}")
     arrays = (jnp.asarray(v, dtype) for v in (irradiance, texels_per_d, *answers))
     return Line(*arrays, kernel=kernel)
 

@@ -159,15 +159,16 @@ def batch_mean(entries: dict[str, Sequence[Entry]], streams: dict[str, Residuals
     figure, panels = _figure("", len(entries), 3, (14.5, 3.8 * len(entries)))
     for (coefficients, errors, spread), light in zip(np.atleast_2d(panels), entries, strict=True):
         stream, rows = streams[light], entries[light]
+        frames = np.arange(1, len(stream.error["GT"]) + 1)
         for name, colour in zip(stream.error, _COLOURS, strict=True):
             if name != "Res_f":
-                coefficients.plot(stream.coefficient[name], color=colour, lw=1.2, label=name)
-            errors.plot(stream.error[name], color=colour, lw=1.2, label=name)
+                coefficients.plot(frames, stream.coefficient[name], color=colour, lw=1.2, label=name)
+            errors.plot(frames, stream.error[name], color=colour, lw=1.2, label=name)
         best = float(stream.coefficient["GT"][-1])
         coefficients.set(
             xlabel="frame", ylabel="coefficient", title=f"{light}, one seed", ylim=(-0.5, best + 1)
         )
-        errors.axvline(FIRST, color="#222222", ls=":", lw=1)
+        errors.axvline(FIRST + 1, color="#222222", ls=":", lw=1)
         errors.set(xlabel="frame", ylabel="root of the residual's moving variance", yscale="log")
         errors.set_title(f"{light}, one seed")
         places = np.arange(len(rows))

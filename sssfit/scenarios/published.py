@@ -170,7 +170,7 @@ def _table() -> Iterator[Row]:
         for entry, text in zip(entries, printed, strict=True):
             is_heavy = entry.name.startswith("EMCM")
             outlier = (entry.name, lit) == ("Res_f", "dynamic")
-            reason = "below every run of ours, and its ratio to SF+EMA too" if outlier else ""
+            reason = "below the range of 99 % of our runs; no cause found" if outlier else ""
             yield Row(
                 "Xie 2021, Table B.1",
                 f"{entry.name}, {lit}",

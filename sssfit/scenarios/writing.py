@@ -247,10 +247,10 @@ def write_batch_mean(
     entries, streams = {}, {}
     for light in batch_mean.LIGHTS:
         done = seeds * len(entries)
+        entries[light] = batch_mean.table(
+            key, light, seeds=seeds, progress=lambda n, _, done=done: progress(done + n, 2 * seeds)
+        )
         with interrupt_deferred():
-            entries[light] = batch_mean.table(
-                key, light, seeds=seeds, progress=lambda n, _, done=done: progress(done + n, 2 * seeds)
-            )
             streams[light] = batch_mean.simulate(jax.random.fold_in(key, 0), light)
     options = {"seeds": seeds, "seed": seed}
     summary = {**options, **{light: [row._asdict() for row in rows] for light, rows in entries.items()}}

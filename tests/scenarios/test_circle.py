@@ -314,3 +314,8 @@ def test_faults_of_lengths(fault, message):
         circle.hit_probability(distance, **lengths_given)
     with pytest.raises(ValueError, match=message):
         circle.beam(1, distance=distance, **lengths_given)
+
+
+def test_light_whose_squares_do_not_fit():
+    with pytest.raises(ValueError, match="intensity must have squares that fit float32, got 1e"):
+        circle.uniform(np.array([1e25], np.float32))

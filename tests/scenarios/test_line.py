@@ -315,3 +315,8 @@ def test_faults_of_worlds(fault, message):
     arguments = {"irradiance": np.ones((1, 4)), "length": 1.0, "d": 0.1} | fault
     with pytest.raises(ValueError, match=message):
         line.world(arguments.pop("irradiance"), **arguments)
+
+
+def test_light_whose_squares_do_not_fit():
+    with pytest.raises(ValueError, match="irradiance must have squares that fit float32, got 1e"):
+        line.world(np.array([[0.0, 1e25]], np.float32), length=1.0, d=0.1)
