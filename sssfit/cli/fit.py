@@ -194,10 +194,10 @@ def _print_solvers(result) -> None:
 @contextmanager
 def _busy(options: argparse.Namespace, text: str) -> Iterator[None]:
     """A spinner on a terminal while a fit compiles and runs, which Ctrl-C must not tear apart."""
-    from rich.console import Console
-
     from sssfit.files.atomic import interrupt_deferred
 
+    with interrupt_deferred():
+        from rich.console import Console
     console = Console(stderr=True, quiet=options.quiet or options.json)
     with interrupt_deferred(), console.status(text):
         yield

@@ -131,11 +131,11 @@ def _holds(row) -> str:
 
 def _collected(rows: Iterator, options: argparse.Namespace, progress: str) -> list:
     """All rows, computed one after the other."""
-    from rich.console import Console
-    from rich.markup import escape
-
     from sssfit.files.atomic import interrupt_deferred
 
+    with interrupt_deferred():
+        from rich.console import Console
+        from rich.markup import escape
     found = []
     console = Console(stderr=True, quiet=options.quiet or options.json or not sys.stderr.isatty())
     with console.status("computing") as status:

@@ -158,13 +158,16 @@ def _add_controller(scenario, controller: str, target_variance: float, start: st
 
 def run_circle(options: argparse.Namespace) -> int:
     """Run `sssfit simulate circle`."""
-    from sssfit.scenarios import circle, writing
+    from sssfit.files.atomic import interrupt_deferred
 
-    intensity, policy, target = _world_options(options)
-    if options.profile == "uniform":
-        world = circle.uniform(intensity)
-    else:
-        world = circle.beam(intensity, distance=options.distance, radius=options.radius, d=options.d)
+    with interrupt_deferred():
+        from sssfit.scenarios import circle, writing
+
+        intensity, policy, target = _world_options(options)
+        if options.profile == "uniform":
+            world = circle.uniform(intensity)
+        else:
+            world = circle.beam(intensity, distance=options.distance, radius=options.radius, d=options.d)
     with _writable(options), _progress(options) as show:
         found, record = writing.simulate(world, policy, target, **_run_options(options), progress=show)
         summary = writing.write_circle(options.out, found, record, _asked(options))
@@ -179,11 +182,14 @@ def run_circle(options: argparse.Namespace) -> int:
 
 def run_line(options: argparse.Namespace) -> int:
     """Run `sssfit simulate line`."""
-    import numpy as np
+    from sssfit.files.atomic import interrupt_deferred
 
-    from sssfit.scenarios import light, line, writing
+    with interrupt_deferred():
+        import numpy as np
 
-    intensity, policy, target = _world_options(options)
+        from sssfit.scenarios import light, line, writing
+
+        intensity, policy, target = _world_options(options)
     x = line.centres(options.texels, options.length)
     if options.profile in line.PROFILES:
         lit = line.PROFILES[options.profile](x, amplitude=options.amplitude)
@@ -193,7 +199,8 @@ def run_line(options: argparse.Namespace) -> int:
 
     def simulate(brightness, show):
         irradiance = (brightness[:, None] * lit).astype(np.float32)
-        world = line.world(irradiance, **shape)
+        with interrupt_deferred():
+            world = line.world(irradiance, **shape)
         return writing.simulate(world, policy, target, **_run_options(options), first=0, progress=show)
 
     with _writable(options), _progress(options) as show:
@@ -212,8 +219,10 @@ def run_line(options: argparse.Namespace) -> int:
 
 def run_batch_mean(options: argparse.Namespace) -> int:
     """Run `sssfit simulate batch-mean`."""
-    from sssfit.scenarios import writing
+    from sssfit.files.atomic import interrupt_deferred
 
+    with interrupt_deferred():
+        from sssfit.scenarios import writing
     with _writable(options), _progress(options) as show:
         summary = writing.write_batch_mean(options.out, seeds=options.seeds, seed=options.seed, progress=show)
     for light in ("static", "dynamic"):
@@ -287,9 +296,11 @@ def _writable(options: argparse.Namespace):
 @contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Callable[[int, int], None]]:
     """A bar on the terminal, which is told what is done and how much there is."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from sssfit.files.atomic import interrupt_deferred
 
+    with interrupt_deferred():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
     columns = (TextColumn("seeds"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     visible = sys.stderr is not None and sys.stderr.isatty() and not options.quiet
     with Progress(*columns, console=Console(file=sys.stderr), disable=not visible) as progress:

@@ -68,11 +68,14 @@ def add_command(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run `sssfit tables`."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from sssfit.files.atomic import interrupt_deferred
 
-    from sssfit.tables.collection import Sizes
-    from sssfit.tables.writing import FORMATS, write
+    with interrupt_deferred():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        from sssfit.tables.collection import Sizes
+        from sssfit.tables.writing import FORMATS, write
 
     formats = FORMATS if "all" in options.formats else tuple(dict.fromkeys(options.formats))
     columns = (TextColumn("{task.description:<28}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

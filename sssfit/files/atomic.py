@@ -187,8 +187,9 @@ def _remove_empty(created: list[Path]) -> None:
 def interrupt_deferred() -> Iterator[None]:
     """Hold back Ctrl-C until the block is done; only the main thread may, and need, do so.
 
-    For work that must not be left half done, and for calls into compiled code that does not survive an
-    exception in the middle, such as JAX's.
+    For work that must not be left half done; for calls into compiled code that does not survive an
+    exception in the middle, or loses it, such as JAX's; and for imports: an interruption inside the making
+    of a class from text (a named tuple's) ends Python by the signal later, even where it was caught.
 
     Example:
         >>> with interrupt_deferred():

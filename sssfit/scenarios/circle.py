@@ -41,17 +41,19 @@ class Circle(eqx.Module):
     surround: Array
     profile: Literal["uniform", "burley"] = eqx.field(static=True)
 
-    def values(self, uniform: Array, frame: Array) -> Array:
-        """Values of samples; see `driver.World`."""
+    def places(self, uniform: Array) -> Array:
+        """Whether samples fall into the light; see `driver.World`."""
         if self.profile == "uniform":
-            inside = jnp.sum(jnp.square(uniform - 0.5), axis=0) < 0.25
-        else:
-            r = inverse_cdf.log_poly12(uniform[0], 1.0)
-            x, radius = self.distance_in_d, self.radius_in_d
-            # Squared distance to the centre less squared radius, by factors: large ones would cancel.
-            facing = 1 + cosine_of_half_turn(uniform[1])
-            inside = (x - r - radius) * (x - r + radius) + 2 * x * r * facing < 0
-        return jnp.where(inside, IRRADIANCE * self.intensity[frame], 0)
+            return jnp.sum(jnp.square(uniform - 0.5), axis=0) < 0.25
+        r = inverse_cdf.log_poly12(uniform[0], 1.0)
+        x, radius = self.distance_in_d, self.radius_in_d
+        # Squared distance to the centre less squared radius, by factors: large ones would cancel.
+        facing = 1 + cosine_of_half_turn(uniform[1])
+        return (x - r - radius) * (x - r + radius) + 2 * x * r * facing < 0
+
+    def values(self, places: Array, frame: Array) -> Array:
+        """Values of samples; see `driver.World`."""
+        return jnp.where(places, IRRADIANCE * self.intensity[frame], 0)
 
 
 def uniform(intensity: ArrayLike) -> Circle:

@@ -42,8 +42,12 @@ class World(Protocol):
     control: Array
     surround: Array
 
-    def values(self, uniform: Array, frame: Array) -> Array:
-        """Values, (n, *pixels), of the samples at the points (2, n, *pixels) of the unit square."""
+    def places(self, uniform: Array) -> Array:
+        """Where the samples fall, (n, *pixels), at the points (2, n, *pixels) of the unit square."""
+        ...
+
+    def values(self, places: Array, frame: Array) -> Array:
+        """Values of samples there, of the places' shape."""
         ...
 
 
@@ -151,18 +155,25 @@ def draw(
     dtype, shape = world.truth.dtype, count.shape
     shift = jax.random.bits(key, (2, 1, *shape), jnp.uint32)
     points = {"iid": sequences.hashed, "r2": sequences.r2}[sequence]
-    block_numbers = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape))
-
-    def add(block, sums):
-        number = block_numbers + block * _BLOCK
-        found = world.values(points(number, shift).astype(dtype), frame) - reference
-        found = jnp.where(number < count, found, 0)
-        return sums[0] + jnp.sum(found, axis=0), sums[1] + jnp.sum(jnp.square(found), axis=0)
-
+    in_block = jnp.arange(_BLOCK).reshape(-1, *(1,) * len(shape))
     # Sums of squares are taken around a number of the samples' size, so that they do not cancel.
     reference = jax.lax.stop_gradient(world.truth[frame])
+
+    def place(block):
+        return world.places(points(in_block + block * _BLOCK, shift).astype(dtype))
+
+    def add(block, carried):
+        places, total, squares = carried
+        found = world.values(places, frame) - reference
+        found = jnp.where(in_block + block * _BLOCK < count, found, 0)
+        total, squares = total + jnp.sum(found, axis=0), squares + jnp.sum(jnp.square(found), axis=0)
+        # The next samples' places are found one step ahead: fused with a lookup, their logarithms and
+        # cosines would be compiled one number at a time.
+        return place(block + 1), total, squares
+
     zero = jnp.zeros(shape, dtype)
-    total, squares = jax.lax.fori_loop(0, -(-most // _BLOCK), add, (zero, zero))
+    blocks = -(-most // _BLOCK)
+    _, total, squares = jax.lax.fori_loop(0, blocks, add, (place(0), zero, zero))
     number = jnp.maximum(count, 1).astype(dtype)
     mean = total / number
     deviation = jnp.maximum(squares - total * mean, 0)

@@ -45,8 +45,8 @@ class Line(eqx.Module):
     surround: Array
     kernel: Kernel = eqx.field(static=True)
 
-    def values(self, uniform: Array, frame: Array) -> Array:
-        """Values of samples; see `driver.World`."""
+    def places(self, uniform: Array) -> Array:
+        """Texels that samples fall into; see `driver.World`."""
         texels = self.irradiance.shape[1]
         offset = inverse_cdf.log_poly12(uniform[0], self.texels_per_d)
         if self.kernel == "line":
@@ -54,8 +54,11 @@ class Line(eqx.Module):
         else:
             offset = jnp.where(uniform[1] < 0.5, offset, -offset)
         hit = jnp.floor(jnp.arange(texels, dtype=offset.dtype) + 0.5 + offset)
-        index = jnp.clip(hit, 0, texels - 1).astype(jnp.int32)
-        return self.irradiance[frame][index]
+        return jnp.clip(hit, 0, texels - 1).astype(jnp.int32)
+
+    def values(self, places: Array, frame: Array) -> Array:
+        """Values of samples; see `driver.World`."""
+        return self.irradiance[frame][places]
 
 
 def world(irradiance: ArrayLike, *, length: float, d: float, kernel: Kernel = "line") -> Line:

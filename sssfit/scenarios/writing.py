@@ -60,7 +60,8 @@ def simulate(
 
     def records() -> Iterator[Record]:
         options: dict[str, Any] = {"seeds": seeds, "start": start, "sequence": sequence}
-        made = driver.chunks(jax.random.key(seed), world, policy, **options)
+        with interrupt_deferred():
+            made = driver.chunks(jax.random.key(seed), world, policy, **options)
         while True:
             # Ctrl-C inside compiled work crashes or is lost; between chunks it is safe.
             with interrupt_deferred():
@@ -137,7 +138,8 @@ def write_circle(
         "regret": figures.regret,
         "regret_q95": figures.regret_q95,
     }
-    picture = plot.circle(found, title=_title(options, figures), one=_first_pixel(record.value))
+    with interrupt_deferred():
+        picture = plot.circle(found, title=_title(options, figures), one=_first_pixel(record.value))
     _write(out, options, summary, _arrays(found, record), picture, {"frames": _by_frame(found)})
     return summary
 
@@ -197,7 +199,8 @@ def write_line(
         "regret_q95": figures.regret_q95,
     }
     title = _title(options, figures)
-    picture = plot.line(found, title=title, x=x, light=light, intensity=intensity)
+    with interrupt_deferred():
+        picture = plot.line(found, title=title, x=x, light=light, intensity=intensity)
     ideal = measure.oracle_count(found.sample_variance, found.target)
     texels = {
         "x_mm": x,
@@ -243,7 +246,8 @@ def write_batch_mean(
     """
     if not 0 <= seed < 2**32:
         raise ValueError(f"seed must be in [0, 2^32), got {seed}")
-    key = jax.random.key(seed)
+    with interrupt_deferred():
+        key = jax.random.key(seed)
     entries, streams = {}, {}
     for light in batch_mean.LIGHTS:
         done = seeds * len(entries)
@@ -261,14 +265,9 @@ def write_batch_mean(
     for light, stream in streams.items():
         for kind, named in stream._asdict().items():
             arrays |= {f"{light}_{kind}_{name}": np.asarray(values) for name, values in named.items()}
-    _write(
-        out,
-        options,
-        summary,
-        arrays,
-        plot.batch_mean(entries, streams),
-        {"table": table, "frames": frames | arrays},
-    )
+    with interrupt_deferred():
+        picture = plot.batch_mean(entries, streams)
+    _write(out, options, summary, arrays, picture, {"table": table, "frames": frames | arrays})
     return summary
 
 

@@ -14,7 +14,7 @@ from scipy.special import k0
 
 from sssfit.scenarios import circle
 
-sample = eqx.filter_jit(lambda world, uniform, frame: world.values(uniform, frame))
+sample = eqx.filter_jit(lambda world, uniform, frame: world.values(world.places(uniform), frame))
 
 # Mean of Burley's profile for A = 1, d = 1 over a disc of radius r_A at distance r, by mpmath's quadrature.
 DISC_AVERAGES = {

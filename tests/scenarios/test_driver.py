@@ -31,8 +31,11 @@ class Spy(eqx.Module):
     control: jax.Array
     surround: jax.Array
 
-    def values(self, uniform, frame):
-        return uniform[0] * self.factor[frame]
+    def places(self, uniform):
+        return uniform[0]
+
+    def values(self, places, frame):
+        return places * self.factor[frame]
 
 
 def spying(factor):
@@ -105,8 +108,8 @@ def test_most_is_the_most_that_is_drawn(most):
 class Even(Spy):
     """A world whose samples are all alike."""
 
-    def values(self, uniform, frame):
-        return self.factor[frame] + 0 * uniform[0]
+    def values(self, places, frame):
+        return self.factor[frame] + 0 * places
 
 
 def test_samples_that_are_all_alike_have_no_deviation(dtype):

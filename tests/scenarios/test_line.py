@@ -15,7 +15,7 @@ from scipy.special import k0
 from sssfit.files.errors import FileError
 from sssfit.scenarios import line
 
-sample = eqx.filter_jit(lambda world, uniform, frame: world.values(uniform, frame))
+sample = eqx.filter_jit(lambda world, uniform, frame: world.values(world.places(uniform), frame))
 
 kernels = pytest.mark.parametrize("kernel", line.KERNELS)
 

@@ -168,8 +168,11 @@ class Pixels(eqx.Module):
     control: jax.Array
     surround: jax.Array
 
-    def values(self, uniform, frame):
-        return uniform[0] * self.width[frame]
+    def places(self, uniform):
+        return uniform[0]
+
+    def values(self, places, frame):
+        return places * self.width[frame]
 
 
 @pytest.fixture(scope="module")
