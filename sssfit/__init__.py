@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sssfit import estimators as estimators
     from sssfit import files as files
     from sssfit import fitting as fitting
+    from sssfit import frames as frames
     from sssfit import profiles as profiles
     from sssfit import sampling as sampling
     from sssfit import scenarios as scenarios
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 __version__ = _version("sssfit")
 
-_TOPICS = ("estimators", "files", "fitting", "profiles", "sampling", "scenarios", "tables")
+_TOPICS = ("estimators", "files", "fitting", "frames", "profiles", "sampling", "scenarios", "tables")
 
 
 def __getattr__(name: str):

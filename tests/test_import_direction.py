@@ -15,9 +15,10 @@ ALLOWED = {
     "sampling": {"profiles"},
     "estimators": {"profiles"},
     "fitting": {"files", "profiles", "sampling"},
+    "frames": {"files", "profiles", "sampling", "estimators"},
     "scenarios": {"files", "profiles", "sampling", "estimators"},
     "tables": {"files", "profiles", "sampling", "fitting"},
-    "cli": {"files", "profiles", "sampling", "estimators", "fitting", "scenarios", "tables"},
+    "cli": {"files", "profiles", "sampling", "estimators", "fitting", "frames", "scenarios", "tables"},
 }
 SOLVERS = ("optimistix", "jaxopt", "scipy.optimize")
 # The one file that may import solvers.

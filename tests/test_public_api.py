@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "sssfit"
 # The command line's interface is its --help, which its own tests read.
 LIBRARY = (
-    *("files", "profiles", "sampling", "estimators", "fitting", "scenarios", "tables"),
+    *("files", "profiles", "sampling", "estimators", "fitting", "frames", "scenarios", "tables"),
     "reproduction.py",
 )
 # Modules whose functions compute published or derived formulas.
@@ -137,7 +137,7 @@ def test_the_topics_hold_what_they_name():
     from sssfit import profiles, sampling
 
     assert sssfit.profiles is profiles and sssfit.sampling is sampling
-    topics = {"estimators", "files", "fitting", "profiles", "sampling", "scenarios", "tables"}
+    topics = {"estimators", "files", "fitting", "frames", "profiles", "sampling", "scenarios", "tables"}
     assert topics <= set(dir(sssfit))
     with pytest.raises(AttributeError, match="module 'sssfit' has no attribute 'nothing'"):
         sssfit.nothing  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]

@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
 
     # Ctrl-C inside the imports of compiled code crashes or is lost.
     with interrupt_deferred():
-        from sssfit.cli import fit, reproduce, simulate, tables
+        from sssfit.cli import fit, procedural_frame, reproduce, simulate, tables
 
     top = argparse.ArgumentParser(
         prog="sssfit",
@@ -53,6 +53,7 @@ def parser() -> argparse.ArgumentParser:
         fit.add_command(commands)
         tables.add_command(commands)
         simulate.add_command(commands)
+        procedural_frame.add_command(commands)
         reproduce.add_command(commands)
     return top
 

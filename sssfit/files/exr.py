@@ -1,7 +1,10 @@
-"""OpenEXR images: named channels of float or half numbers, and text in the header."""
+"""OpenEXR images: named channels of float, half or whole numbers, and text in the header."""
 
+import io
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +24,8 @@ def encode_exr(channels: dict[str, np.ndarray], attributes: dict[str, str]) -> b
     The same input gives the same bytes: the header holds no time and no name of a machine.
 
     Args:
-        channels: channel name to pixels, all of one shape (height, width) and all float32 or all
-            float16; infinities and NaN are kept. The file holds them in alphabetical order.
+        channels: channel name to pixels, all of one shape (height, width), each float32, float16 or
+            uint32; infinities and NaN are kept. The file holds them in alphabetical order.
         attributes: header attribute name to text; "" is kept too.
 
     Returns:
@@ -69,8 +72,7 @@ def read_exr(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[
         holds integers), and attribute name to text for those header attributes that are text.
 
     Raises:
-        FileError: the file cannot be read, is truncated or is not an EXR image. The library may
-            print details to the standard error stream.
+        FileError: the file cannot be read, is truncated or is not an EXR image.
 
     Example:
         >>> pixels = np.array([[0.5, -np.inf]], dtype=np.float16)
@@ -85,7 +87,7 @@ def read_exr(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[
     if not read_bytes(path).startswith(MAGIC):
         raise FileError(path, "", "is not an EXR image", remedy)
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as image:
+        with _muted(), OpenEXR.File(str(path), separate_channels=True) as image:
             channels = {name: part.pixels.copy() for name, part in image.channels().items()}
             # The header is empty once the image is closed.
             attributes = {n: t for n, t in image.header().items() if isinstance(t, str)}
@@ -96,14 +98,33 @@ def read_exr(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[
     return channels, attributes
 
 
+@contextmanager
+def _muted() -> Iterator[None]:
+    """Keep what the library prints about damaged files off the terminal: the exception says it."""
+    # Its binding prints through Python to one stream, its core past Python to the other.
+    with redirect_stdout(io.StringIO()):
+        try:
+            original = os.dup(2)
+        except OSError:  # closed: nothing to be muted
+            yield
+            return
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(original, 2)
+            os.close(original)
+
+
 def _check_pixels(pixels: list[np.ndarray]) -> None:
     """Refuse what the library would write wrongly or not at all."""
-    kinds = {(values.dtype.str, values.shape) for values in pixels}
-    if len(kinds) == 1:
-        dtype, shape = kinds.pop()
-        if dtype in ("<f2", "<f4") and len(shape) == 2 and 0 not in shape:
+    shapes = {values.shape for values in pixels}
+    if len(shapes) == 1 and {values.dtype.str for values in pixels} <= {"<f2", "<f4", "<u4"}:
+        shape = shapes.pop()
+        if len(shape) == 2 and 0 not in shape:
             return
     raise ValueError(
-        "channels of an EXR image must all be float32 or all float16, with one shape "
+        "channels of an EXR image must each be float32, float16 or uint32, with one shape "
         f"(height, width) and at least one pixel, got {[(p.dtype.name, p.shape) for p in pixels]}"
     )

@@ -12,6 +12,9 @@ import pytest
 
 from sssfit.estimators import moving
 
+# Hundreds of small compilations.
+pytestmark = pytest.mark.slow
+
 T, ALPHA = 5, 0.3
 ZS = np.random.default_rng(0).normal(size=(T, 2)) + [1.0, -2.0]
 

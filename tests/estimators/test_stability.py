@@ -96,6 +96,7 @@ def test_what_arrives_stays_until_alpha_is_one(bad, method, dtype):
     assert float(moving.mean(healed)) == 3 and float(moving.estimate(healed)) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", moving.METHODS)
 @pytest.mark.parametrize("statistic", ["emcm", "ewma_covariance"])
 def test_products_that_overflow_make_no_nan(statistic, method, dtype):

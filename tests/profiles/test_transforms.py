@@ -7,6 +7,9 @@ import pytest
 
 from sssfit.profiles import burley, dipole, gaussian_sum, separable
 
+# Hundreds of small compilations.
+pytestmark = pytest.mark.slow
+
 QUANTITY = np.array([0.11, 0.52, 0.93])
 LENGTH = np.array([0.7, 1.3, 2.9])
 OFFSETS = np.array([-4.0, -1.0, 0.0, 1.0, 4.0])
