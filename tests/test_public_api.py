@@ -15,8 +15,8 @@ LIBRARY = (
 # Modules whose functions compute published or derived formulas.
 FORMULAS = (
     *(f"profiles/{name}.py" for name in ("burley", "dipole", "gaussian_sum", "separable")),
-    "sampling/inverse_cdf.py",
-    "sampling/sequences.py",
+    *(f"sampling/{name}.py" for name in ("disk", "hashes", "inverse_cdf", "prefilter", "sequences")),
+    *(f"frames/{name}.py" for name in ("compose", "exact", "pixel_kernel", "points", "scatter", "surface")),
     *(
         f"estimators/{name}.py"
         for name in (

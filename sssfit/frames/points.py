@@ -20,7 +20,7 @@ Channels = Literal["mixture", "widest"]
 Estimator = Literal["unbiased", "ratio"]
 Distance = Literal["surface", "plane"]
 Plane = Literal["screen", "tangent"]
-Sequence = Literal["r2", "iid"]
+Sequence = Literal["r2", "iid", "sobol", "hammersley", "fibonacci"]
 
 #: Versions of a table: neighbours in a row differ, and the lanes of a vector unit each have theirs.
 VERSIONS = 16
@@ -40,7 +40,9 @@ class Settings(NamedTuple):
         distance: "surface" for the straight line to the surface that a sample hits; "plane" for the radius
             itself, which is right where depth is constant and costs less.
         plane: "screen" for a sampling plane parallel to the screen, "tangent" for the surface's own.
-        sequence: "r2" for points of low discrepancy, "iid" for independent ones.
+        sequence: how the points of `sampling.sequences` are spread: "r2" and "sobol" evenly from the first
+            on, "hammersley" and "fibonacci" only all together, for pixels with the largest count, and "iid"
+            independently.
         cutoff: radius in d beyond which the profile is zero, the rest scaled to integrate to 1; None for all.
     """
 
@@ -116,8 +118,7 @@ def table(samples: int, d: Array, settings: Settings, *, seed: Array, frame: Arr
     shift = hashes.pcg3d(jnp.arange(VERSIONS), frame, seed)
     # A stream apart from that of the pixels' rotations.
     shift = hashes.pcg3d(shift[0], shift[1], jnp.uint32(0x9E3779B9))[:2, None]
-    draw = {"r2": sequences.r2, "iid": sequences.hashed}[settings.sequence]
-    variate, turn = draw(jnp.arange(samples)[:, None], shift)
+    variate, turn = _drawn(settings.sequence, jnp.arange(samples)[:, None], samples, shift)
     if settings.channels == "widest":
         drawn_for = jnp.broadcast_to(jnp.max(d), variate.shape)
     else:
@@ -144,6 +145,12 @@ def table(samples: int, d: Array, settings: Settings, *, seed: Array, frame: Arr
     scale = jnp.where(own > 0, scale, 0)
     weights = [scale * density(radius, shape, settings.cutoff) for shape in d]
     return Table(x, y, scale, radius, weights, d)
+
+
+def _drawn(sequence: Sequence, index: Array, count: int, shift: Array) -> Array:
+    if sequence in ("hammersley", "fibonacci"):
+        return getattr(sequences, sequence)(index, count, shift)
+    return {"r2": sequences.r2, "iid": sequences.hashed, "sobol": sequences.sobol}[sequence](index, shift)
 
 
 def density(r: ArrayLike, d: ArrayLike, cutoff: float | None) -> Array:

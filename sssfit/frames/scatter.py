@@ -160,7 +160,9 @@ def every_profile(
 def _pass(irradiance, depth, normal, mask, counts, d, camera, words, settings, most, lanes):
     height, width = depth.shape
     counts = jnp.where(mask, counts, 0)
-    drawn = table(-(-max(most, 1) // STRIDE) * STRIDE, d, settings, seed=words[0], frame=words[1])
+    drawn = table(max(most, 1), d, settings, seed=words[0], frame=words[1])
+    unused = -len(drawn.x) % STRIDE
+    drawn = jax.tree.map(lambda v: jnp.pad(v, ((0, unused), (0, 0))), drawn._replace(d=None))._replace(d=d)
     source = _source(irradiance, depth, normal, mask, camera, settings)
     per_row = -(-width // VERSIONS)
     padded = jnp.pad(counts, ((0, 0), (0, per_row * VERSIONS - width)))

@@ -39,16 +39,14 @@ def test_weighted_samples_have_each_channels_distribution(importance, channels):
             assert abs(found.mean() - expected) < 4.5 * error + 1e-5, (within / d, error)
 
 
-def test_points_of_low_discrepancy_do_it_with_a_smaller_error():
-    weights = np.stack(
-        [np.asarray(table(64, D, PLANE, seed=jnp.uint32(k), frame=0).weights) for k in range(20)]
-    )
-    even = np.square(weights.mean(axis=2) - 1).mean(axis=(0, 2))
-    settings = PLANE._replace(sequence="iid")
-    weights = np.stack(
-        [np.asarray(table(64, D, settings, seed=jnp.uint32(k), frame=0).weights) for k in range(20)]
-    )
-    independent = np.square(weights.mean(axis=2) - 1).mean(axis=(0, 2))
+@pytest.mark.parametrize("sequence", ["r2", "sobol", "hammersley", "fibonacci"])
+def test_points_of_low_discrepancy_do_it_with_a_smaller_error(sequence):
+    def squared_error(name):
+        settings = PLANE._replace(sequence=name)
+        runs = [table(64, D, settings, seed=jnp.uint32(k), frame=0).weights for k in range(20)]
+        return np.square(np.mean(runs, axis=2) - 1).mean(axis=(0, 2))
+
+    even, independent = squared_error(sequence), squared_error("iid")
     assert np.all(even < 0.2 * independent), (even, independent)
 
 

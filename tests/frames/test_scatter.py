@@ -46,6 +46,8 @@ def agrees(found, expected, errors=4.5):
         {},
         {"channels": "widest"},
         {"sequence": "iid"},
+        {"sequence": "sobol"},
+        {"sequence": "fibonacci"},
         {"cutoff": None},
         {"importance": "xie"},
         {"importance": "mixture"},
@@ -257,5 +259,7 @@ def test_what_is_refused():
         run(LIGHT[..., :2])
     with pytest.raises(ValueError, match="^normal must be given: the area that a pixel sees"):
         run(settings=Settings())
-    with pytest.raises(ValueError, match="^sequence must be one of r2, iid, got 'random'$"):
+    with pytest.raises(
+        ValueError, match="^sequence must be one of r2, iid, sobol, hammersley, fibonacci, got 'random'$"
+    ):
         run(settings=points.Settings(sequence="random"))  # pyright: ignore[reportArgumentType]
