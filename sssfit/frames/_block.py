@@ -21,10 +21,14 @@ class Pixels(NamedTuple):
     row: Array
     depth: Array
     count: Array
-    # Axes of the sampling plane, turned by the pixel's own angle, and the position: camera space.
+    # Axes of the sampling plane, turned by the pixel's own angle, and the position: camera space. In the
+    # screen's own plane the axes have no z.
     first: tuple[Array, ...]
     second: tuple[Array, ...]
     place: tuple[Array, ...]
+    # Pixels for each mm along the two axes, across and down.
+    across: tuple[Array, Array]
+    down: tuple[Array, Array]
     # Area of the sampling plane in a pixel, up to the depth at which it is met.
     plane_area: Array
 
@@ -45,20 +49,19 @@ def pixels_of(segment, per_row, depth, normal, counts, camera, words, settings):
     cosine, sine = disk.rotation(
         _to_unit(hashes.pcg3d(column, row, words[0] + words[1] * jnp.uint32(0x9E3779B9))[0])
     )
-    flat = (jnp.zeros_like(away), jnp.zeros_like(away), jnp.ones_like(away))
-    facing = flat[2]
-    tangent, bitangent = (flat[2], flat[0], flat[0]), (flat[0], flat[2], flat[0])
+    facing = jnp.ones_like(away)
+    tangent, bitangent = (1.0, 0.0), (0.0, 1.0)
     if settings.plane == "tangent":
-        toward = normal[at]
-        facing = surface.facing(toward, *middle, camera)
+        facing = surface.facing(normal[at], *middle, camera)
         usable = facing >= surface.MIN_COSINE
-        toward = jnp.where(usable[..., None], toward, jnp.stack(flat, axis=-1))
+        toward = jnp.where(usable[..., None], normal[at], jnp.array([0.0, 0.0, 1.0]))
         facing = jnp.where(usable, facing, 1)
         tangent, bitangent = (tuple(jnp.moveaxis(v, -1, 0)) for v in disk.basis(toward))
     first = tuple(cosine * t + sine * b for t, b in zip(tangent, bitangent, strict=True))
     second = tuple(cosine * b - sine * t for t, b in zip(tangent, bitangent, strict=True))
     across, up = camera.pixels_per_mm(away)
-    return Pixels(*middle, away, count, first, second, place, 1 / (across * up * facing)), versions
+    steps = (across * first[0], across * second[0]), (-up * first[1], -up * second[1])
+    return Pixels(*middle, away, count, first, second, place, *steps, 1 / (across * up * facing)), versions
 
 
 def mean_of_samples(source, pixels, most, drawn, camera, shape, settings):
@@ -101,13 +104,13 @@ def mean_of_samples(source, pixels, most, drawn, camera, shape, settings):
 def _hit(pixels, x, y, camera, shape):
     """Where a sample falls: the pixel as an index into the source, the offset in space, the place in it."""
     offset = tuple(x * a + y * b for a, b in zip(pixels.first, pixels.second, strict=True))
-    if camera.projection == "perspective":
+    if camera.projection == "perspective" and len(offset) == 3:
         away = jnp.maximum(pixels.depth - offset[2], 1e-3 * pixels.depth)
-        across, up = camera.fx / away, camera.fy / away
-        column = camera.cx + (pixels.place[0] + offset[0]) * across
-        row = camera.cy - (pixels.place[1] + offset[1]) * up
+        column = camera.cx + (pixels.place[0] + offset[0]) * (camera.fx / away)
+        row = camera.cy - (pixels.place[1] + offset[1]) * (camera.fy / away)
     else:
-        column, row = pixels.column + offset[0] * camera.fx, pixels.row - offset[1] * camera.fy
+        column = pixels.column + (x * pixels.across[0] + y * pixels.across[1])
+        row = pixels.row + (x * pixels.down[0] + y * pixels.down[1])
     height, width = shape
     # Shifted by the rim before the rounding down.
     column, row = jnp.clip(column + 1, 0, width + 1.5), jnp.clip(row + 1, 0, height + 1.5)
@@ -128,13 +131,14 @@ def _weights(pixels, last, offset, drawn, camera, settings):
     """Weight of samples in each channel."""
     if settings.distance == "plane":
         return [w * last for w in drawn.weights] if settings.estimator == "ratio" else drawn.weights
-    away = pixels.depth - offset[2]
+    moved, area = offset[:2], pixels.plane_area
     if camera.projection == "perspective":
+        # The place met lies on the ray through the sample, and the plane meets rays at other depths too.
+        away = pixels.depth - offset[2] if len(offset) == 3 else pixels.depth
         stretch = last / away
-        moved = [v * stretch + p * (stretch - 1) for v, p in zip(offset[:2], pixels.place[:2], strict=True)]
-        area = pixels.plane_area * away * jnp.square(away) / (pixels.depth * jnp.square(pixels.depth))
-    else:
-        moved, area = offset[:2], pixels.plane_area
+        moved = [v * stretch + p * (stretch - 1) for v, p in zip(moved, pixels.place[:2], strict=True)]
+        if len(offset) == 3:
+            area = area * (away / pixels.depth) ** 3
     distance = jnp.sqrt(jnp.square(moved[0]) + jnp.square(moved[1]) + jnp.square(pixels.depth - last))
     weights = [drawn.scale * density(distance, shape, settings.cutoff) for shape in drawn.d]
     if settings.estimator == "ratio":
