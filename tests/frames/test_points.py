@@ -23,7 +23,7 @@ def cdf(r, d, cutoff=np.inf):
 
 
 @pytest.mark.parametrize("importance", inverse_cdf.METHODS)
-@pytest.mark.parametrize("channels", ["mixture", "widest"])
+@pytest.mark.parametrize("channels", ["mixture", pytest.param("widest", marks=pytest.mark.slow)])
 def test_weighted_samples_have_each_channels_distribution(importance, channels):
     """Independent points, so that the standard error is that of the mean."""
     settings = PLANE._replace(importance=importance, channels=channels, sequence="iid")
