@@ -56,7 +56,7 @@ def convolve(
         >>> spot = np.zeros((9, 9, 1))
         >>> spot[4, 4] = 1
         >>> convolve(spot, [0.5], (1.0, 1.0))[4, 3:6, 0].round(4)
-        array([0.0893, 0.4387, 0.0893])
+        array([0.0583, 0.4032, 0.0583])
     """
     irradiance, d = np.asarray(irradiance, float), np.asarray(d, float)
     lit = np.ones(irradiance.shape[:2], bool) if mask is None else np.asarray(mask, bool)

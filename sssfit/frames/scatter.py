@@ -76,8 +76,8 @@ def scatter(
         >>> lit = jnp.ones((64, 64, 3))
         >>> found = scatter(lit, jnp.full((64, 64), 500.0), orthographic(64, 64, 0.5), d=[0.5, 0.3, 0.2],
         ...                 counts=64, settings=Settings(distance="plane"))
-        >>> round(float(found[32, 32, 0]), 2)
-        1.0
+        >>> 0.9 < float(found[32, 32, 0]) < 1.1
+        True
     """
     settings.check()
     irradiance, depth = jnp.asarray(irradiance, jnp.float32), jnp.asarray(depth, jnp.float32)
