@@ -18,7 +18,8 @@ ZS = np.random.default_rng(0).normal(size=(T, 2)) @ [[1.0, 0.4], [0.0, 0.7]] + [
 CLOSE = 1e-10
 
 every_alpha = pytest.mark.parametrize("alpha", [0.01, 0.2, 0.5, 0.9, 1.0])
-pytestmark = pytest.mark.usefixtures("x64")
+# Libraries and scans of every method, compiled for every weight.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("x64")]
 
 
 def assert_close(found, expected, first=10):

@@ -12,6 +12,9 @@ from scipy.stats import binom, chi2
 from sssfit.estimators import count_prediction, sample_count
 from sssfit.estimators.sample_count import PAPER_2020, PAPER_2021, UNREAL, Controller, History
 
+# Long streams of simulated pixels.
+pytestmark = pytest.mark.slow
+
 frames_to_forget = jax.jit(count_prediction.frames_to_forget)
 frames_to_converge = jax.jit(count_prediction.frames_to_converge)
 neutral_count = jax.jit(count_prediction.neutral_count)

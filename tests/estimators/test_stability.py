@@ -7,6 +7,9 @@ import pytest
 
 from sssfit.estimators import _reference, moving, stability
 
+# Every case compiles for every dtype.
+pytestmark = pytest.mark.slow
+
 CASES = [(case, dtype) for case in stability.CASES for dtype in stability.DTYPES]
 #: Long streams have a test of their own for their full length.
 QUICK = 100_000
@@ -23,7 +26,6 @@ def test_bounds_hold(case, dtype):
         assert row.holds, row
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
 def test_ten_million_updates_do_not_drift(dtype):
     with jax.enable_x64(True):
@@ -96,7 +98,6 @@ def test_what_arrives_stays_until_alpha_is_one(bad, method, dtype):
     assert float(moving.mean(healed)) == 3 and float(moving.estimate(healed)) == 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", moving.METHODS)
 @pytest.mark.parametrize("statistic", ["emcm", "ewma_covariance"])
 def test_products_that_overflow_make_no_nan(statistic, method, dtype):

@@ -11,6 +11,9 @@ from scipy.optimize import brentq, minimize_scalar
 from sssfit.fitting import inverse_cdf
 from sssfit.fitting.inverse_cdf import fit_c, report
 
+# Six objectives by three solvers.
+pytestmark = pytest.mark.slow
+
 # Minimizers found with mpmath or SciPy in plain NumPy, independently of this package.
 REFERENCES = {
     "cdf_mse": 2.571500425201475819,

@@ -6,6 +6,9 @@ import pytest
 
 from sssfit.fitting import solve
 
+# Every solver compiles for every problem.
+pytestmark = pytest.mark.slow
+
 INFINITE = np.full(2, np.inf)
 
 

@@ -11,6 +11,9 @@ from hypothesis import strategies as st
 
 from sssfit.frames import mipmap
 
+# Every size of a frame compiles anew.
+pytestmark = pytest.mark.slow
+
 build = jax.jit(mipmap.build, static_argnames="levels")
 lookup = jax.jit(mipmap.lookup)
 
