@@ -50,7 +50,7 @@ def scatter(
         irradiance: (H, W, C), linear, of any unit; finite within the mask.
         depth: (H, W), mm along the viewing axis, > 0 within the mask.
         camera: of the frame.
-        d: shape parameter of each channel, mm, (C,), > 0.
+        d: shape parameter of each channel, mm, (C,), >= 0; a channel of 0 keeps its irradiance.
         counts: samples of each pixel, integers, (H, W) or one number; a pixel without samples (0 or below)
             keeps its irradiance.
         mask: (H, W), the pixels with this profile; the others give nothing and keep their irradiance.
@@ -160,6 +160,9 @@ def every_profile(
 def _pass(irradiance, depth, normal, mask, counts, d, camera, words, settings, most, lanes):
     height, width = depth.shape
     counts = jnp.where(mask, counts, 0)
+    # A channel that does not scatter is left as it is below; nothing may be divided by its shape.
+    scatters, d = d != 0, jnp.where(d != 0, d, jnp.max(d))
+    d = jnp.where(d != 0, d, 1)
     drawn = table(max(most, 1), d, settings, seed=words[0], frame=words[1])
     unused = -len(drawn.x) % STRIDE
     drawn = jax.tree.map(lambda v: jnp.pad(v, ((0, unused), (0, 0))), drawn._replace(d=None))._replace(d=d)
@@ -194,7 +197,7 @@ def _pass(irradiance, depth, normal, mask, counts, d, camera, words, settings, m
     results = jnp.stack([lane(first) for first in range(lanes)], axis=1).reshape(-1, VERSIONS * len(d))
     places = jnp.zeros(blocks * segments + 1, jnp.int32).at[order.reshape(-1)].set(jnp.arange(order.size))
     image = results[places[: len(largest)]].reshape(height, per_row * VERSIONS, len(d))[:, :width]
-    return jnp.where((counts > 0)[..., None], image, irradiance)
+    return jnp.where((counts > 0)[..., None] & scatters, image, irradiance)
 
 
 def _source(irradiance, depth, normal, mask, camera, settings):
