@@ -7,7 +7,9 @@ each round, and medians and quartiles over the rounds are compared.
 import os
 import platform
 import random
+import resource
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping
 from datetime import date
@@ -84,6 +86,17 @@ class Neighbours:
         user, nice, system, idle, waiting, *interrupts = (int(n) / ticks for n in line.split()[1:9])
         used = user + nice + system + sum(interrupts)
         return used, used + idle + waiting, time.process_time()
+
+
+def peak() -> float:
+    """The most memory in MB that this process has had so far."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        # What getrusage tells on Linux begins with that of the parent.
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        return int(line.split()[1]) / 1e3
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 def machine() -> str:

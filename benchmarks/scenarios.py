@@ -8,8 +8,6 @@ prints two Markdown reports. docs/benchmarks.md explains them, and --page docs/b
 import argparse
 import math
 import multiprocessing
-import resource
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
@@ -239,20 +237,9 @@ def _compilation_of_ours(problem: Problem) -> float:
 
 def _peaks(name: str, texels: int, frames: int, seeds: int) -> tuple[float, float]:
     problem = line_problem(name, texels, frames, seeds)
-    before = _peak()
+    before = interleaved.peak()
     ours(problem)
-    return before, _peak()
-
-
-def _peak() -> float:
-    """The most memory in MB that this process has had so far."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        # What getrusage tells on Linux begins with that of the parent.
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-        return int(line.split()[1]) / 1e3
-    unit = 1e6 if sys.platform == "darwin" else 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return before, interleaved.peak()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""What the tests share: the two precisions, and Burley's profile by other means than the package's."""
+"""What the tests share: the two precisions, Burley's profile by other means than ours, rendered frames."""
+
+import os
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -106,3 +109,13 @@ def fine_reference(dtype):
     """Skip where the machine's long double is no finer than the numbers to be judged."""
     if np.finfo(np.longdouble).eps > np.finfo(dtype).eps / 256:
         pytest.skip("long double is no finer than float64 on this machine")
+
+
+@pytest.fixture(scope="session")
+def rendered():
+    """The folder of the rendered scenes, beside the repository or where SSSFIT_FRAMES says; no part of it."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "frames"
+    folder = Path(os.environ.get("SSSFIT_FRAMES", beside))
+    if not (folder / "s1_beam" / "camera.json").exists():
+        pytest.skip(f"the rendered frames are not here (in {folder}, or where SSSFIT_FRAMES says)")
+    return folder

@@ -16,7 +16,10 @@ LIBRARY = (
 FORMULAS = (
     *(f"profiles/{name}.py" for name in ("burley", "dipole", "gaussian_sum", "separable")),
     *(f"sampling/{name}.py" for name in ("disk", "hashes", "inverse_cdf", "prefilter", "sequences")),
-    *(f"frames/{name}.py" for name in ("compose", "exact", "pixel_kernel", "points", "scatter", "surface")),
+    *(
+        f"frames/{name}.py"
+        for name in ("adaptive", "compose", "exact", "pixel_kernel", "points", "scatter", "surface")
+    ),
     *(
         f"estimators/{name}.py"
         for name in (

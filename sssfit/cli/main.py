@@ -40,11 +40,11 @@ def parser() -> argparse.ArgumentParser:
 
     # Ctrl-C inside the imports of compiled code crashes or is lost.
     with interrupt_deferred():
-        from sssfit.cli import fit, procedural_frame, reproduce, simulate, tables
+        from sssfit.cli import fit, procedural_frame, render, reproduce, simulate, tables
 
     top = argparse.ArgumentParser(
         prog="sssfit",
-        description="Fits, lookup tables and simulations for subsurface scattering. Lengths are in mm.",
+        description="Fits, tables, simulations and frames for subsurface scattering. Lengths are in mm.",
         epilog="example: sssfit tables --out tables",
     )
     top.add_argument("--version", action="version", version=f"sssfit {version('sssfit')}")
@@ -54,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
         tables.add_command(commands)
         simulate.add_command(commands)
         procedural_frame.add_command(commands)
+        render.add_command(commands)
         reproduce.add_command(commands)
     return top
 

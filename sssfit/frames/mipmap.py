@@ -109,22 +109,40 @@ def lookup(mipmap: Mipmap, column: ArrayLike, row: ArrayLike, level: ArrayLike) 
         >>> [field.tolist() for field in lookup(mipmap, 1.0, 0.5, 0.0)]
         [[1.0], 0.5]
     """
-    dtype = mipmap.texels.dtype
+    found = premultiplied(mipmap, column, row, level)
+    total, coverage = found[..., :-1], found[..., -1]
+    covered = coverage[..., None] != 0
+    values = jnp.where(covered, total / jnp.where(covered, coverage[..., None], 1), 0)
+    return Filtered(values.astype(mipmap.texels.dtype), coverage.astype(mipmap.texels.dtype))
+
+
+def premultiplied(mipmap: Mipmap, column: ArrayLike, row: ArrayLike, level: ArrayLike) -> Array:
+    """What `lookup` finds before it divides: values times coverage, then the coverage.
+
+    Args:
+        mipmap, column, row, level: as for `lookup`.
+
+    Returns:
+        Shape (..., C + 1), float32 or the mipmap's dtype, whichever is wider: the mean over the footprint
+        with everything else counted as 0.
+
+    Source: see the module.
+
+    Example:
+        >>> mipmap = build(jnp.array([[[1.0], [9.0]]]), jnp.array([[True, False]]))
+        >>> premultiplied(mipmap, 1.0, 0.5, 0.0).tolist()
+        [0.5, 0.5]
+    """
     # A place needs more digits than a colour in half precision.
-    wide = jnp.promote_types(dtype, jnp.float32)
+    wide = jnp.promote_types(mipmap.texels.dtype, jnp.float32)
     column, row, level = jnp.broadcast_arrays(*(jnp.asarray(a, wide) for a in (column, row, level)))
     last = len(mipmap.sizes) - 1
     level = jnp.clip(level, 0, last)
     fine = jnp.floor(level).astype(jnp.int32)
     fraction = (level - fine)[..., None]
     # At the last level the next one is itself, with weight 0.
-    found = (1 - fraction) * _bilinear(mipmap, column, row, fine) + fraction * _bilinear(
-        mipmap, column, row, jnp.minimum(fine + 1, last)
-    )
-    total, coverage = found[..., :-1], found[..., -1]
-    covered = coverage[..., None] != 0
-    values = jnp.where(covered, total / jnp.where(covered, coverage[..., None], 1), 0)
-    return Filtered(values.astype(dtype), coverage.astype(dtype))
+    coarse = _bilinear(mipmap, column, row, jnp.minimum(fine + 1, last))
+    return (1 - fraction) * _bilinear(mipmap, column, row, fine) + fraction * coarse
 
 
 def _halved(level: Array) -> Array:

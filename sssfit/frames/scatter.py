@@ -7,27 +7,20 @@ no sample asks which profile it hit, and profiles cannot bleed into each other.
 """
 
 import functools
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from sssfit.frames import surface
-from sssfit.frames._block import STRIDE, mean_of_samples, pixels_of
+from sssfit.frames import _pass
 from sssfit.frames.camera import Camera
 from sssfit.frames.gbuffer import Frame
-from sssfit.frames.points import VERSIONS, Settings, table
+from sssfit.frames.points import Settings
 
 DEFAULT = Settings()
-#: Pixels of one block.
-_BLOCK = 8192
-#: Depth in mm of what is outside the mask; its square is a float32.
-_FAR = 1e15
 
 
 def scatter(
@@ -58,7 +51,8 @@ def scatter(
         normal: (H, W, 3) in camera space, of length 1; not needed where `settings.distance` is "plane" and
             `settings.plane` is "screen", nor for the ratio on a screen plane.
         settings: see `points.Settings`; each needs a program of its own.
-        most: the largest count, on the host; by default that of `counts`, which then must be known.
+        most: the largest count, on the host; by default that of `counts`, which then must be known. A
+            program serves all from one power of two to the next.
         seed, frame: integers; other ones give independent samples.
 
     Returns:
@@ -79,30 +73,42 @@ def scatter(
         >>> 0.9 < float(found[32, 32, 0]) < 1.1
         True
     """
-    settings.check()
-    irradiance, depth = jnp.asarray(irradiance, jnp.float32), jnp.asarray(depth, jnp.float32)
-    shape = depth.shape
-    d = jnp.asarray(d, jnp.float32)
-    if irradiance.ndim != 3 or irradiance.shape[:2] != shape or d.shape != irradiance.shape[2:]:
-        raise ValueError(
-            "irradiance must have the shape (H, W, C), depth (H, W) and d (C,), "
-            f"got {irradiance.shape}, {shape} and {d.shape}"
-        )
-    if most is None:
-        most = int(np.max(np.asarray(counts), initial=0))
-    counts = jnp.broadcast_to(jnp.asarray(counts, jnp.int32), shape)
-    mask = jnp.ones(shape, bool) if mask is None else jnp.asarray(mask, bool)
-    needs_normal = settings.plane == "tangent" or (
-        settings.distance == "surface" and settings.estimator == "unbiased"
-    )
-    if needs_normal and normal is None:
-        raise ValueError(
-            "normal must be given: the area that a pixel sees, or its tangent plane, follow from it"
-        )
-    used = normal is not None and (settings.distance == "surface" or needs_normal)
-    normal = jnp.asarray(normal, jnp.float32) if used else None
-    words = jnp.uint32(seed), jnp.uint32(frame)
-    return _pass(irradiance, depth, normal, mask, counts, d, camera, words, settings, most, _lanes())
+    return _run(_pass.mean, irradiance, depth, camera, d, counts, mask, normal, settings, most, seed, frame)
+
+
+def variance_of_samples(
+    frame: Frame,
+    profiles: Mapping[int, Any],
+    *,
+    counts: ArrayLike,
+    settings: Settings = DEFAULT,
+    seed: int = 0,
+) -> Array:
+    """Estimate how much one sample varies at each pixel, from a few of them.
+
+    Args:
+        frame, profiles: as for `every_profile`.
+        counts: samples to estimate from, as for `every_profile`, >= 2 where an estimate is wanted.
+        settings, seed: as for `every_profile`.
+
+    Returns:
+        (H, W) float32: variance of one sample's Rec. 709 luminance of the result / pi, in the irradiance's
+        unit squared, with n - 1 in the denominator; a mean of n independent samples has 1 / n of it. For the
+        ratio that of its linear approximation. 0 where nothing scatters or fewer than two samples are drawn.
+
+    Raises:
+        ValueError: as `every_profile`.
+
+    Source: Xie et al. 2020, Section 3; the delta method for the ratio.
+
+    Example:
+        >>> from sssfit.frames import procedural
+        >>> scene = procedural.frame(width=64, height=36)
+        >>> variance_of_samples(scene, {1: [1.0, 0.5, 0.3], 2: None}, counts=8).shape
+        (36, 64)
+    """
+    start = jnp.zeros(frame.depth.shape, jnp.float32)
+    return _each_profile(_pass.variance, frame, profiles, counts, settings, seed, start)
 
 
 def every_profile(
@@ -135,91 +141,59 @@ def every_profile(
         >>> found.shape
         (36, 64, 3)
     """
-    ids = np.unique(np.asarray(frame.profile_id))
-    unknown = [int(i) for i in ids if i != 0 and int(i) not in profiles]
-    if unknown:
-        known = ", ".join(map(str, sorted(profiles)))
+    start = jnp.asarray(frame.irradiance, jnp.float32)
+    return _each_profile(_pass.mean, frame, profiles, counts, settings, seed, start)
+
+
+def _each_profile(of_pass, frame, profiles, counts, settings, seed, result):
+    """The result of each profile's pass at its own pixels."""
+    ids = np.asarray(frame.profile_id)
+    masks = {number: ids == number for number in profiles}
+    known = functools.reduce(np.logical_or, masks.values(), ids == 0)
+    if not known.all():
         raise ValueError(
-            f"profiles must name every id of the frame: {unknown[0]} is missing, there are {known}"
+            f"profiles must name every id of the frame: {int(ids[~known][0])} is missing, "
+            f"there are {', '.join(map(str, sorted(profiles)))}"
         )
     most = int(np.max(np.asarray(counts), initial=0))
-    image = jnp.asarray(frame.irradiance, jnp.float32)
-    for number in ids:
-        d = profiles.get(int(number)) if number else None
-        if d is not None:
-            mask = jnp.asarray(frame.profile_id) == number
-            found = scatter(
-                frame.irradiance, frame.depth, frame.camera, d=d, counts=counts, mask=mask,
-                normal=frame.normal, settings=settings, most=most, seed=seed,
+    for number, mask in masks.items():
+        d = profiles[number]
+        if number != 0 and d is not None and mask.any():
+            mask = jnp.asarray(mask)
+            found = _run(
+                of_pass, frame.irradiance, frame.depth, frame.camera, d, counts, mask, frame.normal,
+                settings, most, seed, 0,
             )  # fmt: skip
-            image = jnp.where(mask[..., None], found, image)
-    return image
+            result = jnp.where(mask.reshape(mask.shape + (1,) * (found.ndim - 2)), found, result)
+    return result
 
 
-@functools.partial(jax.jit, static_argnames=("settings", "most", "lanes"))
-def _pass(irradiance, depth, normal, mask, counts, d, camera, words, settings, most, lanes):
-    height, width = depth.shape
-    counts = jnp.where(mask, counts, 0)
-    # A channel that does not scatter is left as it is below; nothing may be divided by its shape.
-    scatters, d = d != 0, jnp.where(d != 0, d, jnp.max(d))
-    d = jnp.where(d != 0, d, 1)
-    drawn = table(max(most, 1), d, settings, seed=words[0], frame=words[1])
-    unused = -len(drawn.x) % STRIDE
-    drawn = jax.tree.map(lambda v: jnp.pad(v, ((0, unused), (0, 0))), drawn._replace(d=None))._replace(d=d)
-    source = _source(irradiance, depth, normal, mask, camera, settings)
-    per_row = -(-width // VERSIONS)
-    padded = jnp.pad(counts, ((0, 0), (0, per_row * VERSIONS - width)))
-    largest = jnp.max(padded.reshape(-1, VERSIONS), axis=1)
-    order = jnp.argsort(-largest)
-    segments = _BLOCK // VERSIONS
-    blocks = -(-len(order) // (segments * lanes)) * lanes
-    order = jnp.pad(order, (0, blocks * segments - len(order)), constant_values=len(order))
-    ordered = jnp.where(order < len(largest), largest[jnp.minimum(order, len(largest) - 1)], 0)
-    order, ordered = (v.reshape(blocks, segments) for v in (order, ordered))
-
-    def block(segment, most_here):
-        pixels, versions = pixels_of(segment, per_row, depth, normal, counts, camera, words, settings)
-        found = mean_of_samples(source, pixels, jnp.max(most_here), drawn, camera, (height, width), settings)
-        # Back from the version that a pixel uses to its place in the segment.
-        return jnp.take_along_axis(found, versions[..., None], axis=1)
-
-    def lane(first):
-        mine = order[first::lanes], ordered[first::lanes]
-        used = jnp.sum(mine[1][:, 0] > 0)
-
-        def one(at, results):
-            return results.at[at].set(block(mine[0][at], mine[1][at]))
-
-        results = jnp.zeros((blocks // lanes, segments, VERSIONS, len(d)), jnp.float32)
-        return jax.lax.fori_loop(0, used, one, results)
-
-    # Loops that do not depend on each other run at the same time.
-    results = jnp.stack([lane(first) for first in range(lanes)], axis=1).reshape(-1, VERSIONS * len(d))
-    places = jnp.zeros(blocks * segments + 1, jnp.int32).at[order.reshape(-1)].set(jnp.arange(order.size))
-    image = results[places[: len(largest)]].reshape(height, per_row * VERSIONS, len(d))[:, :width]
-    return jnp.where((counts > 0)[..., None] & scatters, image, irradiance)
-
-
-def _source(irradiance, depth, normal, mask, camera, settings):
-    """What a sample finds in a pixel, with a dark rim around the frame: (pixels, C + 1 or C + 3).
-
-    The irradiance, times the area seen where the estimator needs it; then whether the pixel counts, or the
-    depth of its tangent plane and how it changes by column and row.
-    """
-    if settings.distance == "plane":
-        outside, last = 0.0, [mask.astype(jnp.float32)]
-    else:
-        outside, last = _FAR, [depth]
-        if normal is not None:
-            last += surface.depth_slopes(depth, normal, camera)
-        if settings.estimator == "unbiased" and normal is not None:
-            irradiance = irradiance * surface.pixel_area(depth, normal, camera)[..., None]
-    layers = [(irradiance[..., k], 0.0) for k in range(irradiance.shape[-1])]
-    layers += [(last[0], outside)] + [(slope, 0.0) for slope in last[1:]]
-    padded = [jnp.pad(jnp.where(mask, v, fill), 1, constant_values=fill) for v, fill in layers]
-    return jnp.stack(padded, axis=-1).reshape(-1, len(padded))
-
-
-def _lanes() -> int:
-    """How many blocks run at once: one for each core of a CPU, a single one elsewhere."""
-    return min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
+def _run(of_pass, irradiance, depth, camera, d, counts, mask, normal, settings, most, seed, frame):
+    """A pass, after its arguments were looked at."""
+    settings.check()
+    irradiance, depth = jnp.asarray(irradiance, jnp.float32), jnp.asarray(depth, jnp.float32)
+    shape = depth.shape
+    d = jnp.asarray(d, jnp.float32)
+    if irradiance.ndim != 3 or irradiance.shape[:2] != shape or d.shape != irradiance.shape[2:]:
+        raise ValueError(
+            "irradiance must have the shape (H, W, C), depth (H, W) and d (C,), "
+            f"got {irradiance.shape}, {shape} and {d.shape}"
+        )
+    if most is None:
+        most = int(np.max(np.asarray(counts), initial=0))
+    counts = jnp.broadcast_to(jnp.asarray(counts, jnp.int32), shape)
+    mask = jnp.ones(shape, bool) if mask is None else jnp.asarray(mask, bool)
+    needs_normal = settings.plane == "tangent" or (
+        settings.distance == "surface" and settings.estimator == "unbiased"
+    )
+    if needs_normal and normal is None:
+        raise ValueError(
+            "normal must be given: the area that a pixel sees, or its tangent plane, follow from it"
+        )
+    used = normal is not None and (settings.distance == "surface" or needs_normal)
+    normal = jnp.asarray(normal, jnp.float32) if used else None
+    seen = _pass.Seen(irradiance, depth, normal, mask, camera)
+    random = _pass.Random(jnp.uint32(seed), jnp.uint32(frame), jnp.int32(max(most, 1)))
+    # Few programs for many counts: nothing is compiled anew when the largest of a frame changes a little.
+    rows = 1 << (max(most, 1) - 1).bit_length()
+    return of_pass(seen, counts, d, random, settings, rows)

@@ -1,0 +1,210 @@
+"""A pass over a frame: blocks of segments with like counts, each through the program of `_block`."""
+
+import functools
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.core
+import jax.numpy as jnp
+from jax import Array
+
+from sssfit.frames import _block, mipmap, points, split, surface
+from sssfit.frames.camera import Camera
+from sssfit.frames.points import VERSIONS, Settings
+
+#: Pixels of one block.
+BLOCK = 8192
+#: Rows, and segments in a row, whose pixels are sampled one after the other.
+_TILE = (64, 8)
+#: Depth in mm of what is outside the mask; its square is a float32.
+_FAR = 1e15
+
+
+class Seen(NamedTuple):
+    """A frame as one profile's pass sees it: (H, W, C), (H, W), (H, W, 3) or None, (H, W)."""
+
+    irradiance: Array
+    depth: Array
+    normal: Array | None
+    mask: Array
+    camera: Camera
+
+
+class Random(NamedTuple):
+    """What the samples are drawn from: the seed, the number of the frame, and the largest count."""
+
+    seed: Array
+    frame: Array
+    most: Array
+
+
+class Prepared(NamedTuple):
+    """What all blocks share: counts by pixel, segments by block, and the place each segment has got."""
+
+    scene: _block.Scene
+    table: points.Samples | None
+    counts: Array
+    order: Array
+    largest: Array
+    places: Array
+
+
+def mean(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int) -> Array:
+    """The scattered frame, (H, W, C); what is not sampled keeps its irradiance."""
+    parts, prepared = _every_block(_block.mean_of_samples, seen, counts, d, random, settings, rows)
+    return _image(parts, prepared, seen, d, settings)
+
+
+def variance(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int) -> Array:
+    """Variance of one sample's luminance / pi, (H, W); 0 where fewer than two are drawn."""
+    seen = seen._replace(irradiance=jnp.where(d != 0, seen.irradiance, 0))
+    parts, prepared = _every_block(_block.variance_of_samples, seen, counts, d, random, settings, rows)
+    return jnp.where(
+        prepared.counts > 1, _assembled(parts, prepared.places, prepared.counts.shape)[..., 0], 0
+    )
+
+
+def lanes() -> int:
+    """How many blocks run at once: one for each core of a CPU, a single one elsewhere."""
+    return min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
+
+
+def _is_traced(leaf) -> bool:
+    return isinstance(leaf, jax.core.Tracer)
+
+
+def _every_block(program, seen, counts, d, random, settings, rows):
+    number = lanes()
+    prepared = _prepared(seen, counts, d, random, settings, rows, number)
+
+    wide = jax.config.read("jax_enable_x64")
+
+    def lane(first):
+        # A thread has a configuration of its own.
+        with jax.enable_x64(wide):
+            return _lane(program, prepared, first, seen, d, random, settings, number)
+
+    if number == 1 or any(map(_is_traced, jax.tree.leaves((prepared, seen, d)))):
+        return [lane(first) for first in range(number)], prepared
+    jax.block_until_ready(prepared)
+    # One program runs its loops one after the other, and so does one thread its programs.
+    with ThreadPoolExecutor(number) as threads:
+        return list(threads.map(lane, range(number))), prepared
+
+
+@functools.partial(jax.jit, static_argnames=("settings", "rows", "lanes"))
+def _prepared(seen, counts, d, random, settings, rows, lanes):
+    d = _positive(d)
+    counts = jnp.where(seen.mask, counts, 0)
+    if settings.split is not None:
+        share = split.distant_share(jnp.where(seen.mask, seen.depth, 1), seen.camera, d, settings)
+        counts = jnp.where(share >= settings.split, counts, 0)
+    table = None
+    if settings.points == "table":
+        table = points.table(rows, d, settings, count=random.most, seed=random.seed, frame=random.frame)
+    return Prepared(_scene(seen, settings), table, counts, *_ordered(counts, BLOCK // VERSIONS * lanes))
+
+
+@functools.partial(jax.jit, static_argnames=("program", "settings", "lanes"))
+def _lane(program, prepared, first, seen, d, random, settings, lanes):
+    """The results of every so manieth block, (blocks, segments, VERSIONS, ...)."""
+    d = _positive(d)
+    blocks = len(prepared.order) // lanes
+    per_row = -(-seen.depth.shape[1] // VERSIONS)
+
+    def block(at):
+        segment = prepared.order[at * lanes + first]
+        pixels, within = _block.pixels_of(segment, per_row, seen, prepared.counts, random, settings)
+        if settings.points == "table":
+            draw = _block.from_table(prepared.table)
+        else:
+            disc = None
+            if settings.split is not None:
+                disc = points.inner(split.radius(pixels.depth, seen.camera), d, settings)
+            draw = _block.fresh(pixels, random.most, d, settings, disc)
+        most = prepared.largest[at * lanes + first]
+        found = program(prepared.scene, pixels, most, draw, d, seen.camera, settings)
+        # Back from the version that a pixel uses to its place in the segment.
+        return jnp.take_along_axis(found, within[..., None], axis=0).swapaxes(0, 1)
+
+    shape = jax.eval_shape(block, 0).shape
+    used = jnp.sum((prepared.largest > 0) & (jnp.arange(len(prepared.largest)) % lanes == first))
+    start = jnp.zeros((blocks, *shape), jnp.float32)
+    return jax.lax.fori_loop(0, used, lambda at, results: results.at[at].set(block(at)), start)
+
+
+@functools.partial(jax.jit, static_argnames=("settings",))
+def _image(parts, prepared, seen, d, settings):
+    scatters, d = d != 0, _positive(d)
+    drawn = prepared.counts > 0
+    found = _assembled(parts, prepared.places, drawn.shape)
+    if settings.split is not None:
+        disc = points.inner(split.radius(jnp.where(drawn, seen.depth, 1), seen.camera), d, settings)
+        own = jnp.stack(disc.share, axis=-1)
+        found = own * seen.irradiance + (found if settings.estimator == "unbiased" else (1 - own) * found)
+    return jnp.where(drawn[..., None] & scatters, found, seen.irradiance)
+
+
+def _assembled(parts, places, shape):
+    """The blocks' results as an image, (H, W, ...)."""
+    height, width = shape
+    results = jnp.stack(parts, axis=1)
+    found = results.reshape(-1, VERSIONS * results.shape[-1])[places]
+    return found.reshape(height, -1, results.shape[-1])[:, :width]
+
+
+def _positive(d):
+    """Shapes to divide by; a channel that does not scatter is left as it is at the end."""
+    d = jnp.where(d != 0, d, jnp.max(d))
+    return jnp.where(d != 0, d, 1)
+
+
+def _ordered(counts, multiple):
+    """Segments in falling order of their largest counts, in blocks; the blocks' largest; where each went."""
+    height, width = counts.shape
+    per_row = -(-width // VERSIONS)
+    padded = jnp.pad(counts, ((0, 0), (0, per_row * VERSIONS - width)))
+    largest = jnp.max(padded.reshape(-1, VERSIONS), axis=1)
+    # Tile by tile, so that what neighbours look up is still in a cache. Segments beyond the frame hold no
+    # pixel, and nothing is drawn for them.
+    unused = (0, -height % _TILE[0]), (0, -per_row % _TILE[1])
+    number = jnp.pad(jnp.arange(len(largest)).reshape(height, per_row), unused, constant_values=len(largest))
+    tiles = number.reshape(-1, _TILE[0], number.shape[1] // _TILE[1], _TILE[1]).swapaxes(1, 2).reshape(-1)
+    order = tiles[_falling(jnp.pad(largest, (0, 1))[tiles])]
+    order = jnp.pad(order, (0, -len(order) % multiple), constant_values=len(largest))
+    places = jnp.zeros(len(largest) + 1, jnp.int32).at[order].set(jnp.arange(len(order)))[:-1]
+    blocks = order.reshape(-1, BLOCK // VERSIONS)
+    return blocks, jnp.max(jnp.pad(largest, (0, 1))[blocks], axis=1), places
+
+
+def _falling(values):
+    """Places of integers >= 0 in falling order, like values in their order: for many, in 1,024 classes."""
+    bits = max(len(values) - 1, 1).bit_length()
+    if bits > 22:
+        return jnp.argsort(-values)
+    # One word to sort is three times as fast as a key and a place.
+    most = jnp.maximum(jnp.max(values), 1)
+    rank = jnp.ceil(values * (1023 / most)).astype(jnp.uint32)
+    words = ((1023 - jnp.minimum(rank, 1023)) << bits) | jnp.arange(len(values), dtype=jnp.uint32)
+    return (jnp.sort(words) & jnp.uint32((1 << bits) - 1)).astype(jnp.int32)
+
+
+def _scene(seen: Seen, settings: Settings) -> _block.Scene:
+    """What a sample finds in a pixel."""
+    irradiance, depth, normal, mask, camera = seen
+    slopes: tuple[Array, ...] = ()
+    if settings.distance == "plane":
+        last = mask.astype(jnp.float32)
+    else:
+        last = jnp.where(mask, depth, _FAR)
+        if normal is not None:
+            slopes = surface.depth_slopes(depth, normal, camera)
+            slopes = tuple(jnp.where(mask, slope, 0).reshape(-1) for slope in slopes)
+        if settings.estimator == "unbiased" and normal is not None:
+            irradiance = irradiance * surface.pixel_area(depth, normal, camera)[..., None]
+    light = jnp.where(mask[..., None], irradiance, 0)
+    filtered = None if settings.prefilter is None else mipmap.build(light, mask)
+    light = light.reshape(-1, light.shape[-1])
+    return _block.Scene(light, last.reshape(-1), slopes, filtered, *depth.shape)
