@@ -6,20 +6,20 @@ Run from the repository root, both studies in a minute and a half on two cores, 
 """
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib
 
 matplotlib.use("Agg")
+import frames_data
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 import interleaved
-import page
 
 from sssfit.files.arrays import csv_bytes
 from sssfit.frames import compare, exact, preview, procedural, scatter
@@ -137,7 +137,7 @@ def study_bias() -> None:
         for name, key in (("error of an image, %", "error"), ("that of the worst, %", "worst")):
             cells[name] = ", ".join(f"{100 * row[f'{key}_{c}']:.1f}" for c in "rgb")
         shown.append(cells)
-    write("bias", table(shown), {name: [row[name] for row in rows] for name in rows[0]})
+    write("bias", frames_data.table(shown, 3), {name: [row[name] for row in rows] for name in rows[0]})
     unbiased = [row for row in rows if row["estimator"] == "unbiased"]
     largest = max(abs(row[f"bias_{c}"]) / row[f"bias_{c}_se"] for row in unbiased for c in "rgb")
     shapes = "; ".join(f"{name} d = {', '.join(f'{x:.2f}' for x in d)} mm" for name, d in profiles().values())
@@ -149,16 +149,8 @@ def study_bias() -> None:
     )
 
 
-def table(rows: Iterable[dict[str, str]]) -> str:
-    rows = list(rows)
-    names = list(rows[0])
-    lines = [names, [":--"] * 3 + ["--:"] * (len(names) - 3), *(list(row.values()) for row in rows)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
 def write(name: str, text: str, columns: dict[str, Any] | None = None) -> None:
-    print(f"\n{name}\n{text}", flush=True)
-    page.replace(DOCS / "frames.md", name, text)
+    frames_data.write(name, text)
     if columns is not None:
         (DOCS / "data" / f"frames_{name}.csv").write_bytes(csv_bytes(columns))
 

@@ -163,15 +163,16 @@ class _Steps:
         self._progress, self._task = progress, task
 
     @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
+    def __call__(self, name: str, share: float = 1.0) -> Iterator[None]:
+        """A pass, or a piece of one; Ctrl-C waits for its end."""
         from sssfit.files.atomic import interrupt_deferred
 
         self._progress.update(self._task, description=name)
         with interrupt_deferred():
             start = time.perf_counter()
             yield
-            self.seconds[name] = time.perf_counter() - start
-        self._progress.advance(self._task)
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        self._progress.advance(self._task, share)
 
     @contextmanager
     def rest(self, name: str) -> Iterator[None]:

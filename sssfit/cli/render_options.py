@@ -84,14 +84,11 @@ def check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
     from sssfit.frames import compare, render
 
-    lenses = [options.camera, options.fx, options.fov_x_deg, options.mm_per_pixel]
-    if sum(lens is not None for lens in lenses) != 1:
-        raise ValueError("the camera must be one of --camera, --fx, --fov-x-deg and --mm-per-pixel")
+    _one_of(options, "camera", ("camera", "fx", "fov_x_deg", "mm_per_pixel"))
     axis = [name for name in ("fy", "cx", "cy") if getattr(options, name) is not None]
     if axis and options.fx is None and options.fov_x_deg is None:
         raise ValueError(f"--{axis[0]} belongs to --fx or --fov-x-deg")
-    if (options.profile is None) == (options.d is None):
-        raise ValueError("the profile must be one of --profile and --d")
+    _one_of(options, "profile", ("profile", "d"))
     sampling = ("spp", "target_variance", "importance", "uncorrected", *_choices(), *_numbers_of_settings())
     strange = sampling if options.method == "exact" else ("radius_limit",)
     given = [name.replace("_", "-") for name in strange if getattr(options, name) not in (None, False)]
@@ -106,6 +103,17 @@ def check(options: argparse.Namespace) -> None:
     limit = options.radius_limit
     if limit is not None and not 0 < limit < math.inf:
         raise ValueError(f"--radius-limit must be a number above 0, got {limit:g}")
+    if options.split is not None and options.points != "fresh":
+        raise ValueError("--split needs --points fresh")
+
+
+def _one_of(options: argparse.Namespace, what: str, names: tuple[str, ...]) -> None:
+    """Refuse none and more than one of some options."""
+    every = [f"--{name.replace('_', '-')}" for name in names]
+    given = [flag for flag, name in zip(every, names, strict=True) if getattr(options, name) is not None]
+    if len(given) != 1:
+        known = f"{', '.join(every[:-1])} and {every[-1]}"
+        raise ValueError(f"the {what} must be one of {known}, got {' and '.join(given) or 'none'}")
 
 
 def counts(options: argparse.Namespace) -> tuple[int, int]:

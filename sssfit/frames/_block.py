@@ -198,7 +198,7 @@ def _found(scene, pixels, sample: Samples, index, d, camera, settings):
     """What a sample adds: weight times light of each channel, then for the ratio the weights."""
 
     def at(layer):
-        return layer.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return layer.at[jnp.maximum(index, 0)].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
     column, row, offset = _hit(pixels, sample, camera)
     lit = at(scene.light)

@@ -7,7 +7,9 @@ nearest pixel do.
 
 import functools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,6 +25,8 @@ from sssfit.frames.camera import Camera
 CUTOFF = 16.0
 #: Depth in mm of what is outside the mask; its square is a float32.
 _FAR = np.float32(1e15)
+#: Pixels times pixels away in one piece of a sum: some tenths of a second.
+_PIECE = 1 << 27
 
 
 def convolve(
@@ -95,6 +99,7 @@ def visible(
     mask: ArrayLike,
     cutoff: float | None = CUTOFF,
     radius_limit: float | None = None,
+    step: Callable[[float], AbstractContextManager[Any]] = nullcontext,
 ) -> Visible:
     """Scatter a curved frame: the sum over all visible pixels of profile, area and irradiance.
 
@@ -111,6 +116,7 @@ def visible(
         cutoff: as for `convolve`.
         radius_limit: distance in mm beyond which pixels are left out. By default `cutoff` times the largest
             d, or 16 times where there is no cut-off. The time grows with its square.
+        step: around each piece of the work, called with the piece's share of it; the shares sum to 1.
 
     Returns:
         `Visible`, computed in float32. The pixel's own patch is integrated to 1e-13, its three nearest rings
@@ -140,10 +146,13 @@ def visible(
     if lit.any():
         at = _bounds(lit)
         part = np.asarray(depth, np.float32)[at], np.asarray(normal, np.float32)[at]
-        patches = _patches(*part, lit[at], eqx.tree_at(lambda c: (c.cx, c.cy), camera, _moved(camera, at)))
+        with step(0.0):
+            moved = eqx.tree_at(lambda c: (c.cx, c.cy), camera, _moved(camera, at))
+            patches = _patches(*part, lit[at], moved)
         for channel, (shape, limit) in enumerate(zip(d, limits, strict=True)):
             given = np.where(lit[at], irradiance[at][..., channel], 0)
-            found[at][..., channel] = np.where(lit[at], _scattered(given, patches, shape, limit, cutoff), 0)
+            whole = _scattered(given, patches, shape, limit, cutoff, lambda share: step(share / len(d)))
+            found[at][..., channel] = np.where(lit[at], whole, 0)
     return Visible(found, left_out)
 
 
@@ -183,16 +192,24 @@ def _patches(depth: np.ndarray, normal: np.ndarray, lit: np.ndarray, camera: Cam
     return _Patches(camera, depth, (across, down), area, (up_mm * stretch, across_mm * stretch))
 
 
-def _scattered(given: np.ndarray, patches: _Patches, d: float, limit: float, cutoff: float | None):
+def _scattered(given: np.ndarray, patches: _Patches, d: float, limit: float, cutoff: float | None, step):
     """One channel: what other pixels give, and what leaves where it entered."""
     reach = [limit * per_mm for per_mm in patches.pixels_per_mm]
     rows, columns = (min(n - 1, math.ceil(pixels)) for n, pixels in zip(given.shape, reach, strict=True))
-    nodes = _nodes(rows, columns, reach)
-    others = _sum_of_others(
-        given * patches.area, *patches[1:3], patches.camera, d, limit, nodes, rows, columns
-    )
+    nodes = _nodes(rows, columns, reach).astype(np.float32)
+    others, pieces = np.zeros(given.shape, np.float32), math.ceil(max(given.size * len(nodes) / _PIECE, 1))
+    ends = [len(nodes) * piece // pieces for piece in range(pieces + 1)]
+    for first, last in zip(ends, ends[1:], strict=False):
+        with step(1 / pieces):
+            others = np.asarray(
+                _sum_of_others(
+                    others, given * patches.area, *patches[1:3], patches.camera, d, limit, nodes,
+                    first, last, rows, columns,
+                )
+            )  # fmt: skip
     scale = 1 if cutoff is None else float(pixel_kernel.cdf(np.array(cutoff)))
-    return np.asarray(others, float) / scale + given * _own_share(patches, d, cutoff)
+    with step(0.0):
+        return np.asarray(others, float) / scale + given * _own_share(patches, d, cutoff)
 
 
 def _own_share(patches: _Patches, d: float, cutoff: float | None) -> np.ndarray:
@@ -233,16 +250,18 @@ def _nodes(rows: int, columns: int, reach: list[float]) -> np.ndarray:
 
 
 @functools.partial(jax.jit, static_argnames=("rows", "columns"))
-def _sum_of_others(given, depth, slopes, camera, d, limit, nodes, rows, columns):
-    """What all other pixels give to each, before the cut-off's scale."""
+def _sum_of_others(total, given, depth, slopes, camera, d, limit, nodes, first, last, rows, columns):
+    """What other pixels give to each, before the cut-off's scale, added to a total: some of the nodes."""
     around = ((rows, rows), (columns, columns))
     filled = ((given, 0.0), (depth, _FAR), (slopes[0], 0.0), (slopes[1], 0.0))
     padded = [jnp.pad(jnp.asarray(v, jnp.float32), around, constant_values=c) for v, c in filled]
     column, row = jnp.arange(depth.shape[1]) + 0.5, jnp.arange(depth.shape[0])[:, None] + 0.5
     here = camera.coordinates(column, row, depth)
     factor = 1 / (8 * jnp.pi * d)
+    nodes = jnp.asarray(nodes)
 
-    def add(total, node):
+    def add(number, total):
+        node = nodes[number]
         down, right = node[0].astype(jnp.int32), node[1].astype(jnp.int32)
         start = (rows + down, columns + right)
         light, away, by_column, by_row = (jax.lax.dynamic_slice(v, start, depth.shape) for v in padded)
@@ -251,9 +270,9 @@ def _sum_of_others(given, depth, slopes, camera, d, limit, nodes, rows, columns)
         r = jnp.sqrt(sum(jnp.square(a - b) for a, b in zip(place, here, strict=True)))
         slow = jnp.exp(r * (-1 / (3 * d)))
         profile = slow * (1 + jnp.square(slow)) / r
-        return total + jnp.where(r <= limit, profile * light, 0) * (node[4] * factor), None
+        return total + jnp.where(r <= limit, profile * light, 0) * (node[4] * factor)
 
-    return jax.lax.scan(add, jnp.zeros(depth.shape), jnp.asarray(nodes, jnp.float32))[0]
+    return jax.lax.fori_loop(first, last, add, total)
 
 
 def _check(irradiance: np.ndarray, d: np.ndarray, lit: np.ndarray) -> None:

@@ -50,6 +50,10 @@ def load(path: str | os.PathLike[str], mask: ArrayLike) -> Reference:
         False
     """
     layers, lit = _layers.Layers(path), np.asarray(mask, bool)
+    held = sorted(layers.channels(Path(path)))
+    if not any(name.startswith("sss.") for name in held):
+        problem = f"there is no layer 'sss' for the reference; the file has {', '.join(held)}"
+        raise FileError(Path(path), "", problem, "give a scattered frame, such as a scattered.exr")
     found = {
         name: layers.find(name, _layers.COLOUR, "reference", needed=name == "sss") for name in ("sss", "diff")
     }

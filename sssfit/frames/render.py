@@ -3,6 +3,7 @@
 Every pass runs inside a `Step` of the caller's, which may show, time or protect it.
 """
 
+import functools
 import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -16,8 +17,8 @@ from sssfit.frames.gbuffer import LAYERS, Frame
 from sssfit.frames.points import Settings
 from sssfit.frames.scene_profiles import Profiles
 
-#: What surrounds a pass, by the name of the pass.
-Step = Callable[[str], AbstractContextManager[Any]]
+#: What surrounds a pass, by the name of the pass; or a piece of one, by that name and its share of the pass.
+Step = Callable[..., AbstractContextManager[Any]]
 #: How many seeds of the samplers belong to one seed of `by_sampling`.
 SEEDS = 1024
 #: Width in pixels of the square over which a pilot's variances are averaged: a few samples tell little of one
@@ -195,7 +196,7 @@ def by_sums(
     *,
     cutoff: float | None = exact.CUTOFF,
     radius_limit: float | None = None,
-    step: Step = nullcontext,
+    step: Step = lambda name, share=1.0: nullcontext(),
 ) -> Rendered:
     """Scatter a frame by `exact.convolve` where that is right, and else by `exact.visible`.
 
@@ -205,7 +206,8 @@ def by_sums(
         frame, profiles: as for `scatter.every_profile`.
         cutoff: as for `exact.convolve`.
         radius_limit: as for `exact.visible`, mm; a convolution has none.
-        step: around the pass of each id, by the names "id 1" and so on.
+        step: around the pass of each id, by the names "id 1" and so on; around the pieces of a sum over
+            pixels instead, each with its share of the id's pass as a second argument.
 
     Returns:
         See `Rendered`. A channel whose d is 0 keeps its irradiance.
@@ -226,20 +228,22 @@ def by_sums(
         assert given is not None
         mask, d, left_out[number] = ids == number, np.asarray(given, float), np.zeros(len(given))
         used = d > 0
-        with step(f"id {number}"):
-            if not used.any():
+        name = f"id {number}"
+        if not used.any():
+            with step(name):
                 continue
-            if frame.camera.projection == "orthographic" and _is_flat(depth[mask]):
-                size = 1 / frame.camera.fy, 1 / frame.camera.fx
+        if frame.camera.projection == "orthographic" and _is_flat(depth[mask]):
+            size = 1 / frame.camera.fy, 1 / frame.camera.fx
+            with step(name):
                 found = exact.convolve(irradiance[..., used], d[used], size, mask=mask, cutoff=cutoff)
-            else:
-                if frame.normal is None:
-                    raise ValueError("the exact sum over a curved surface needs the frame's normals")
-                found, left_out[number][used] = exact.visible(
-                    irradiance[..., used], depth, frame.normal, frame.camera, d[used], mask=mask,
-                    cutoff=cutoff, radius_limit=radius_limit,
-                )  # fmt: skip
-            image[..., used] = np.where(mask[..., None], found, image[..., used])
+        else:
+            if frame.normal is None:
+                raise ValueError("the exact sum over a curved surface needs the frame's normals")
+            found, left_out[number][used] = exact.visible(
+                irradiance[..., used], depth, frame.normal, frame.camera, d[used], mask=mask, cutoff=cutoff,
+                radius_limit=radius_limit, step=functools.partial(step, name),
+            )  # fmt: skip
+        image[..., used] = np.where(mask[..., None], found, image[..., used])
     return Rendered(image, np.zeros(ids.shape, np.uint32), 0, left_out)
 
 

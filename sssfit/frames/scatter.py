@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 from sssfit.frames import _pass
 from sssfit.frames.camera import Camera
 from sssfit.frames.gbuffer import Frame
-from sssfit.frames.points import Settings
+from sssfit.frames.points import VERSIONS, Settings
 
 DEFAULT = Settings()
 
@@ -143,6 +143,33 @@ def every_profile(
     """
     start = jnp.asarray(frame.irradiance, jnp.float32)
     return _each_profile(_pass.mean, frame, profiles, counts, settings, seed, start)
+
+
+def whole_segments(counts: ArrayLike, mask: ArrayLike | None = None) -> Array:
+    """Counts raised to the largest among the sixteen pixels that are sampled together.
+
+    Pixels of a segment wait for the one with the most samples. With these counts they draw theirs meanwhile:
+    a smaller error for almost no time, at the price of counts that are no longer each pixel's own.
+
+    Args:
+        counts: samples of each pixel, integers, (H, W).
+        mask: (H, W), the pixels with a profile; the others count as 0. By default all.
+
+    Returns:
+        (H, W) int32; where there were no samples there are none.
+
+    Source: the segments of this module.
+
+    Example:
+        >>> whole_segments(jnp.zeros((1, 32), int).at[0, :3].set(jnp.array([8, 0, 64])))[0, :17].tolist()[:4]
+        [64, 0, 64, 0]
+    """
+    counts = jnp.asarray(counts, jnp.int32)
+    own = counts if mask is None else jnp.where(jnp.asarray(mask, bool), counts, 0)
+    height, width = own.shape
+    segments = jnp.pad(own, ((0, 0), (0, -width % VERSIONS))).reshape(height, -1, VERSIONS)
+    largest = jnp.repeat(jnp.max(segments, axis=-1), VERSIONS, axis=-1)[:, :width]
+    return jnp.where(own > 0, largest, 0)
 
 
 def _each_profile(of_pass, frame, profiles, counts, settings, seed, result):

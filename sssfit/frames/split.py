@@ -52,7 +52,7 @@ def distant_share(depth: ArrayLike, camera: Camera, d: ArrayLike, settings: Sett
         >>> from sssfit.frames.camera import orthographic
         >>> camera = orthographic(8, 4, 0.3)
         >>> [round(float(distant_share(500.0, camera, [d], Settings())), 3) for d in (1.0, 0.01)]
-        [0.898, 0.0]
+        [0.901, 0.0]
     """
     widest = jnp.max(jnp.asarray(d, jnp.float32), keepdims=True)
     return 1 - inner(radius(depth, camera), widest, settings).share[0]

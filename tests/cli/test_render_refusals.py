@@ -83,10 +83,10 @@ def test_frames(folder, capsys, frame, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (PROFILE, "the camera must be one of --camera, --fx, --fov-x-deg and --mm-per-pixel"),
+        (PROFILE, "the camera must be one of --camera, --fx, --fov-x-deg and --mm-per-pixel, got none"),
         (
             ["--camera", "c.json", "--fx", "900", *PROFILE],
-            "the camera must be one of --camera, --fx, --fov-x-deg and --mm-per-pixel",
+            "the camera must be one of --camera, --fx, --fov-x-deg and --mm-per-pixel, got --camera and --fx",
         ),
         (["--mm-per-pixel", "0.1", "--cx", "3", *PROFILE], "--cx belongs to --fx or --fov-x-deg"),
         (["--fx", "0", "--d", "1,1,1"], "fx must be a number above 0, got 0"),
@@ -98,7 +98,7 @@ def test_frames(folder, capsys, frame, message):
             "or fov_x_deg",
         ),
         (["--camera", "FOLDER/absent.json", *PROFILE], "absent.json: there is no such file; check the path"),
-        (["--camera", "FOLDER/camera.json"], "the profile must be one of --profile and --d"),
+        (["--camera", "FOLDER/camera.json"], "the profile must be one of --profile and --d, got none"),
         (
             ["--camera", "FOLDER/camera.json", "--d", "1,1,1", *PROFILE],
             "the profile must be one of --profile and --d",
@@ -170,6 +170,7 @@ SPP = "--spp must be N or MIN:MAX, whole numbers from 1 to 65536, got "
         (["--method", "exact", "--spp", "64"], "--spp belongs to --method scatter"),
         (["--method", "exact", "--uncorrected"], "--uncorrected belongs to --method scatter"),
         (["--method", "exact", "--sequence", "r2"], "--sequence belongs to --method scatter"),
+        (["--split", "0.01"], "--split needs --points fresh"),
         (["--radius-limit", "9"], "--radius-limit belongs to --method exact"),
         (
             ["--method", "exact", "--radius-limit", "0"],

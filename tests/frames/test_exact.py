@@ -1,5 +1,7 @@
 """The limits of many samples: flat frames against brute force, curved ones against geometry."""
 
+from contextlib import contextmanager, nullcontext
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sssfit.files.exr import read_exr
-from sssfit.frames import exact, gbuffer, pixel_kernel
+from sssfit.frames import exact, gbuffer, pixel_kernel, procedural
 from sssfit.frames.camera import orthographic, perspective
 
 D = [0.9, 0.4, 0.15]
@@ -164,3 +166,41 @@ def test_what_is_refused(lit):
     camera = orthographic(19, 14, 1.0)
     with pytest.raises(ValueError, match="^d must be above 0 for a sum over pixels"):
         exact.visible(lit, *plane(camera, (0, 0, 1)), camera, [0.0, 1, 1], mask=np.ones((14, 19), bool))
+
+
+def test_pieces_change_no_bit_and_share_the_work(monkeypatch):
+    frame = procedural.frame(width=64, height=36)
+    assert frame.normal is not None
+    scene = frame.irradiance, frame.depth, frame.normal, frame.camera, [1.9, 0.5, 0.2]
+    mask, shares = np.asarray(frame.profile_id) == 1, []
+
+    @contextmanager
+    def step(share):
+        shares.append(share)
+        yield
+
+    whole = exact.visible(*scene, mask=mask, step=step)
+    few = len(shares)
+    monkeypatch.setattr(exact, "_PIECE", 1 << 18)
+    shares.clear()
+    pieces = exact.visible(*scene, mask=mask, step=step)
+    assert len(shares) > few + 3 and sum(shares) == pytest.approx(1)
+    np.testing.assert_array_equal(pieces.scattered, whole.scattered)
+
+
+def test_an_interruption_between_pieces_is_raised(monkeypatch):
+    frame = procedural.frame(width=64, height=36)
+    monkeypatch.setattr(exact, "_PIECE", 1 << 18)
+    begun = []
+
+    def step(share):
+        begun.append(share)
+        if len(begun) == 4:
+            raise KeyboardInterrupt
+        return nullcontext()
+
+    assert frame.normal is not None
+    scene = frame.irradiance, frame.depth, frame.normal, frame.camera, [1.9, 0.5, 0.2]
+    with pytest.raises(KeyboardInterrupt):
+        exact.visible(*scene, mask=np.asarray(frame.profile_id) == 1, step=step)
+    assert len(begun) == 4

@@ -189,6 +189,20 @@ def test_the_variance_of_samples_is_that_between_seeds(settings, counts):
     assert np.corrcoef(found.ravel(), between.ravel())[0, 1] > 0.5
 
 
+def test_whole_segments_take_the_largest_count_within_sixteen_pixels():
+    counts = np.random.default_rng(1).integers(0, 65, (5, 50))
+    mask = np.random.default_rng(2).random((5, 50)) < 0.7
+    expected = np.zeros_like(counts)
+    for row, column in np.argwhere(mask & (counts > 0)):
+        first = column // 16 * 16
+        within = slice(first, first + 16)
+        expected[row, column] = max(counts[row, within][mask[row, within]])
+    np.testing.assert_array_equal(scatter.whole_segments(counts, mask), expected)
+    np.testing.assert_array_equal(
+        scatter.whole_segments(counts), scatter.whole_segments(counts, np.ones_like(mask))
+    )
+
+
 def test_a_variance_needs_two_samples_and_something_that_scatters():
     frame: Any = frame_of(CAMERA)
     for counts in (0, 1):

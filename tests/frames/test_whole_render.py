@@ -1,6 +1,6 @@
 """`frames.render`: which passes run, on which random numbers, and which exact answer is taken where."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 import pytest
@@ -60,7 +60,14 @@ def test_sums_are_convolutions_on_flat_frames(steps):
 
 
 def test_sums_over_visible_pixels_elsewhere():
-    made = render.by_sums(FRAME, PROFILES, radius_limit=5.0)
+    shares = []
+
+    def step(name, share=1.0):
+        shares.append((name, share))
+        return nullcontext()
+
+    made = render.by_sums(FRAME, PROFILES, radius_limit=5.0, step=step)
+    assert {name for name, _ in shares} == {"id 1"} and sum(share for _, share in shares) == pytest.approx(1)
     lit, depth, facing = (np.asarray(v) for v in (FRAME.irradiance[..., :2], FRAME.depth, FRAME.normal))
     d = PROFILES[1][:2]
     expected = exact.visible(lit, depth, facing, FRAME.camera, d, mask=IDS == 1, radius_limit=5.0)

@@ -1,0 +1,29 @@
+"""Measure whole frames on rendered scenes: the tables and pictures of docs/frames.md, "On rendered scenes".
+
+Run from the repository root, all studies in some twenty minutes on two cores, or some of them:
+
+    python docs/scripts/frames_studies.py [beam] [importance] [methods] [spp] [prefilter] [split]
+"""
+
+import sys
+import time
+
+import frames_accuracy
+import frames_data
+import frames_sampling
+
+STUDIES = frames_accuracy.STUDIES | frames_sampling.STUDIES
+
+
+def main() -> None:
+    if not frames_data.FOLDER.is_dir():
+        print(f"Nothing is measured: no scenes in {frames_data.FOLDER}; see SSSFIT_FRAMES.")
+        return
+    for name in sys.argv[1:] or STUDIES:
+        start = time.perf_counter()
+        STUDIES[name]()
+        print(f"{name}: {time.perf_counter() - start:.0f} s, commit {frames_data.commit()}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
