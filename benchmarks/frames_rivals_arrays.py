@@ -121,7 +121,7 @@ def by_torch(given: Given) -> Program:
         Missing: PyTorch is not installed.
     """
     try:
-        import torch
+        import torch  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
         raise Missing("PyTorch has no row: it is not installed.") from None
 
@@ -188,8 +188,8 @@ def by_drjit(given: Given) -> Program:
         Missing: Dr.Jit or LLVM is not here.
     """
     try:
-        import drjit as dr
-        from drjit.llvm import Array4f, Float, Int32, UInt32
+        import drjit as dr  # pyright: ignore[reportMissingImports]
+        from drjit.llvm import Array4f, Float, Int32, UInt32  # pyright: ignore[reportMissingImports]
 
         dr.eval(dr.arange(Float, 1) + 1)
     except Exception as error:

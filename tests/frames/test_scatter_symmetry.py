@@ -1,5 +1,6 @@
 """What no way of sampling may change: constant light, a mirrored frame, a profile's neighbours."""
 
+import functools
 from typing import Any
 
 import jax.numpy as jnp
@@ -81,7 +82,8 @@ PLANE = Settings(distance="plane")
 @pytest.mark.parametrize(
     "settings",
     [
-        *(PLANE._replace(importance=name) for name in inverse_cdf.METHODS),
+        # The weights of the others are tested alone, as samples of a table.
+        *(PLANE._replace(importance=name) for name in ("exact", "mixture", "xie", "log_poly12")),
         *(PLANE._replace(channels=name) for name in ("widest", "each")),
         *(PLANE._replace(sequence=name) for name in ("iid", "sobol", "hammersley", "fibonacci")),
         PLANE._replace(points="fresh"),
@@ -128,6 +130,11 @@ TURNS = {
 }
 
 
+def as_it_is(value):
+    return value
+
+
+@functools.cache
 def images(turn, of_normal, settings, first):
     depth, normal = bumpy()
     height, width = turn(depth).shape
@@ -155,7 +162,7 @@ def images(turn, of_normal, settings, first):
 )
 def test_a_turned_frame_has_a_turned_result(name, settings):
     turn, of_normal = TURNS[name]
-    here = images(lambda v: v, lambda n: n, settings, 0)
+    here = images(as_it_is, as_it_is, settings, 0)
     there = np.stack([turn(image) for image in images(turn, of_normal, settings, 1000)])
     mask = MASKS["holes"]
     apart = (there.mean(axis=0) - here.mean(axis=0))[mask]
@@ -174,7 +181,7 @@ def test_a_turned_frame_has_a_turned_result(name, settings):
 def test_a_turn_that_is_not_undone_shows():
     """That the test above can fail: the same frame, not turned back."""
     fresh = Settings(points="fresh")
-    here, there = (images(lambda v: v, lambda n: n, fresh, first)[:16] for first in (0, 1000))
+    here, there = (images(as_it_is, as_it_is, fresh, first)[:16] for first in (0, 1000))
     there = there[:, ::-1]
     mask = MASKS["holes"] & MASKS["holes"][::-1]
     apart = (there.mean(axis=0) - here.mean(axis=0))[mask]
