@@ -174,7 +174,9 @@ def _ordered(counts, multiple):
     tiles = number.reshape(-1, _TILE[0], number.shape[1] // _TILE[1], _TILE[1]).swapaxes(1, 2).reshape(-1)
     order = tiles[_falling(jnp.pad(largest, (0, 1))[tiles])]
     order = jnp.pad(order, (0, -len(order) % multiple), constant_values=len(largest))
-    places = jnp.zeros(len(largest) + 1, jnp.int32).at[order].set(jnp.arange(len(order)))[:-1]
+    places = (
+        jnp.zeros(len(largest) + 1, jnp.int32).at[order].set(jnp.arange(len(order), dtype=jnp.int32))[:-1]
+    )
     blocks = order.reshape(-1, BLOCK // VERSIONS)
     return blocks, jnp.max(jnp.pad(largest, (0, 1))[blocks], axis=1), places
 

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -222,3 +223,14 @@ def test_a_variance_needs_two_samples_and_something_that_scatters():
 def test_settings_that_do_not_fit_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
         scatter.scatter(LIGHT, DEPTH, CAMERA, d=D, counts=1, settings=Settings(distance="plane", **wrong))
+
+
+def test_float64_beside_it_changes_nothing():
+    """The threads of the lanes have the caller's configuration."""
+    settings = Settings(distance="plane")
+    few = np.full((SIZE, SIZE), 4)
+    found = scatter.scatter(LIGHT, DEPTH, CAMERA, d=D, counts=few, settings=settings)
+    with jax.enable_x64(True):
+        wide = scatter.scatter(LIGHT, DEPTH, CAMERA, d=D, counts=few, settings=settings)
+    assert wide.dtype == np.float32
+    np.testing.assert_array_equal(wide, found)
