@@ -19,6 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+#: Seconds before each timed run, in which the threads of the program before it stop waiting for more.
+PAUSE = 0.05
 PACKAGES = ("sssfit", "jax", "numpy", "scipy", "numba")
 
 
@@ -35,7 +37,7 @@ class Timing(NamedTuple):
 
 
 def measure(
-    programs: Mapping[str, Callable[[], object]], repeats: int, seed: int = 0
+    programs: Mapping[str, Callable[[], object]], repeats: int, seed: int = 0, pause: float = PAUSE
 ) -> dict[str, np.ndarray]:
     """Wall times in seconds of each program, shape (repeats,), after one untimed run of each.
 
@@ -50,6 +52,7 @@ def measure(
     for round_ in range(repeats):
         shuffle(order)
         for name in order:
+            time.sleep(pause)
             start = time.perf_counter()
             programs[name]()
             times[name][round_] = time.perf_counter() - start

@@ -4,7 +4,6 @@ Arrays have the shape (VERSIONS, segments): row v holds the pixels that use vers
 so that a row multiplies plain numbers.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from sssfit.frames import mipmap, points, surface
+from sssfit.frames import _desk as desk
+from sssfit.frames import _pairs, mipmap, points, surface
 from sssfit.frames.points import VERSIONS, Samples, density
 from sssfit.sampling import disk, hashes, prefilter
 
@@ -27,71 +27,83 @@ class Pixels(NamedTuple):
     row: Array
     depth: Array
     count: Array
-    # Axes of the sampling plane, turned by the pixel's own angle, and the position: camera space. In the
-    # screen's own plane the axes have no z.
+    # Axes of the sampling plane, turned by the pixel's own angle, in camera space; in the screen's own plane
+    # they have no z, and where points have angles of their own there are none.
     first: tuple[Array, ...]
     second: tuple[Array, ...]
+    # The position in camera space, and pixels for each mm of the screen's plane there, across and up.
     place: tuple[Array, ...]
-    # Pixels for each mm along the two axes, across and down.
-    across: tuple[Array, Array]
-    down: tuple[Array, Array]
-    # Area of the sampling plane in a pixel, up to the depth at which it is met.
-    plane_area: Array
+    across: Array
+    up: Array
+    # Pixels for each mm^2 of the sampling plane, up to the depth at which it is met.
+    per_area: Array
     # Random words of each pixel, (3, VERSIONS, segments).
     words: Array
 
 
 class Scene(eqx.Module):
-    """What samples fall on; pixels row by row, in which those that do not count are dark and far away.
+    """What samples fall on.
 
     Attributes:
-        light: of each channel, (pixels, C).
-        last: whether the pixel counts, or the depth of the surface there, (pixels,).
-        slopes: how that depth changes by column and by row, two of (pixels,), or none.
+        layers: pixels row by row, in which those that do not count are dark and far away, and one such pixel
+            more, of (pixels + 1,), two by two in words (`_pairs`): the light of each channel; then for a
+            distance to the surface its depth, and how it changes by column and by row where that is known;
+            or, for the ratio in the plane, whether the pixel counts.
         filtered: prefiltered copies of the light, where the settings ask for them.
         height, width: of the frame.
     """
 
-    light: Array
-    last: Array
-    slopes: tuple[Array, ...]
+    layers: Array
     filtered: mipmap.Mipmap | None
+    layers_count: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
     width: int = eqx.field(static=True)
 
 
-def pixels_of(segment, per_row, seen, counts, random, settings):
-    """The pixels of segments, and which place in its segment each has."""
+def pixels_of(segment, per_row, seen, counts, random, settings, keep):
+    """The pixels of segments, and which place in its segment each has; `keep` as in `_desk`."""
     depth, normal, camera = seen.depth, seen.normal, seen.camera
     height, width = depth.shape
     # Which version a pixel uses is a permutation of the segment, drawn for each: no stripes.
     bits = hashes.pcg3d(segment, random.frame, random.seed ^ jnp.uint32(0x85EBCA6B))[0] % VERSIONS
-    within = jnp.arange(VERSIONS)[:, None] ^ bits.astype(jnp.int32)
+    within = keep(jnp.arange(VERSIONS)[:, None] ^ bits.astype(jnp.int32))
     row, column = jnp.broadcast_arrays(segment // per_row, (segment % per_row) * VERSIONS + within)
     valid = (row < height) & (column < width)
-    at = jnp.minimum(row, height - 1), jnp.minimum(column, width - 1)
-    count = jnp.where(valid, counts[at], 0)
-    away = jnp.where(count > 0, depth[at], 1)
+    place = keep(jnp.minimum(row * width + column, height * width - 1))
+
+    def own(layer):
+        flat = layer.reshape(height * width, *layer.shape[2:])
+        return keep(flat.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False))
+
+    count = jnp.where(valid, own(counts), 0)
+    away = jnp.where(count > 0, own(depth), 1)
     middle = column + 0.5, row + 0.5
-    place = camera.coordinates(*middle, away)
-    words = hashes.pcg3d(column, row, random.seed + random.frame * jnp.uint32(0x9E3779B9))
-    facing = jnp.ones_like(away)
-    tangent, bitangent = (1.0, 0.0), (0.0, 1.0)
-    if settings.plane == "tangent":
-        facing = surface.facing(normal[at], *middle, camera)
-        usable = facing >= surface.MIN_COSINE
-        toward = jnp.where(usable[..., None], normal[at], jnp.array([0.0, 0.0, 1.0]))
-        facing = jnp.where(usable, facing, 1)
-        tangent, bitangent = (tuple(jnp.moveaxis(v, -1, 0)) for v in disk.basis(toward))
-    # Fresh angles need no turning.
-    turned = jnp.float32(settings.points == "table")
-    cosine, sine = disk.rotation(_to_unit(words[0]) * turned)
-    first = tuple(cosine * t + sine * b for t, b in zip(tangent, bitangent, strict=True))
-    second = tuple(cosine * b - sine * t for t, b in zip(tangent, bitangent, strict=True))
+    position = camera.coordinates(*middle, away)
+    words = keep(hashes.pcg3d(column, row, random.seed + random.frame * jnp.uint32(0x9E3779B9)))
+    first, second, facing = _axes(settings, camera, words, middle, own, normal, keep)
     across, up = camera.pixels_per_mm(away)
-    steps = (across * first[0], across * second[0]), (-up * first[1], -up * second[1])
-    area = 1 / (across * up * facing)
-    return Pixels(*middle, away, count, first, second, place, *steps, area, words), within
+    per_area = across * up * facing
+    pixels = Pixels(*middle, away, count, first, second, position, across, up, per_area, words)
+    return pixels, within
+
+
+def _axes(settings, camera, words, middle, own, normal, keep):
+    """The sampling plane's axes, and the cosine of its angle to the ray through the pixel."""
+    cosine = sine = None
+    if settings.points == "table":
+        cosine, sine = map(keep, disk.rotation(_to_unit(words[0])))
+    if settings.plane == "screen":
+        return ((), (), 1) if cosine is None else ((cosine, sine), (-sine, cosine), 1)
+    normal = own(normal)
+    facing = surface.facing(normal, *middle, camera)
+    usable = facing >= surface.MIN_COSINE
+    toward = jnp.where(usable[..., None], normal, jnp.array([0.0, 0.0, 1.0]))
+    first, second = (tuple(jnp.moveaxis(axis, -1, 0)) for axis in disk.basis(toward))
+    if cosine is not None:
+        pairs = list(zip(first, second, strict=True))
+        first = tuple(cosine * t + sine * b for t, b in pairs)
+        second = tuple(cosine * b - sine * t for t, b in pairs)
+    return first, second, jnp.where(usable, facing, 1)
 
 
 def mean_of_samples(scene, pixels, most, draw, d, camera, settings):
@@ -106,9 +118,11 @@ def mean_of_samples(scene, pixels, most, draw, d, camera, settings):
     if settings.estimator == "ratio":
         # Where nothing was hit, all that is known is the pixel itself.
         column, row = (place.astype(jnp.int32) for place in (pixels.column, pixels.row))
-        own = scene.light.at[row * scene.width + column].get(mode="clip")
+        last = scene.width * scene.height
+        at = jnp.clip(row * scene.width + column, 0, last)
+        own = _pairs.at(scene.layers, at)
         totals = [
-            jnp.where(b > 0, a / jnp.where(b > 0, b, 1), own[..., c])
+            jnp.where(b > 0, a / jnp.where(b > 0, b, 1), own[c])
             for c, (a, b) in enumerate(zip(totals[:channels], totals[channels:], strict=True))
         ]
     else:
@@ -141,101 +155,97 @@ def variance_of_samples(scene, pixels, most, draw, d, camera, settings):
     return jnp.maximum(variance, 0)[..., None]
 
 
-class Draw(NamedTuple):
-    """Samples in two steps: by number, and from what the first step found."""
-
-    aimed: Callable
-    weighed: Callable
-
-
 def from_table(table):
     """Samples from a table of (samples, VERSIONS)."""
 
-    def row(number):
+    def row(number, keep):
         return jax.tree.map(lambda v: jax.lax.dynamic_index_in_dim(v, number, keepdims=False)[:, None], table)
 
-    return Draw(row, lambda row: row)
+    return row
 
 
 def fresh(pixels, count, d, settings, beyond):
     """Samples of each pixel's own."""
-    return Draw(
-        lambda number: points.aimed(number, pixels.words, d, settings, count=count, beyond=beyond),
-        lambda aim: points.weighed(aim, d, settings, beyond),
-    )
+
+    def draw(number, keep):
+        aim = points.aimed(number, pixels.words, d, settings, count=count, beyond=beyond, keep=keep)
+        if settings.distance == "surface":
+            # Needed for the place, and again for the distance of what is found there.
+            aim = aim._replace(x=keep(aim.x), y=keep(aim.y))
+        return points.weighed(aim, d, settings, beyond, keep)
+
+    return draw
 
 
-def _accumulated(scene, pixels, most, draw: Draw, d, camera, settings, sums, add):
+def _accumulated(scene, pixels, most, draw, d, camera, settings, sums, add):
     """The sums that `add` makes of what a block's samples find."""
 
-    def weighed(aim):
-        sample = draw.weighed(aim)
-        return sample, _index(scene, pixels, sample, camera)
+    def step(keep, number, totals):
+        sample = draw(number, keep)
+        index = keep(_index(scene, pixels, number, sample, camera))
+        return add(totals, _found(scene, pixels, sample, index, d, camera, settings, keep))
 
     def one(state):
-        number, totals, (sample, index), aim = state
-        found = _found(scene, pixels, sample, index, d, camera, settings)
-        taken = number < pixels.count
-        totals = add(totals, [jnp.where(taken, value, 0) for value in found])
-        # Each step is a turn of the loop ahead of the next: XLA fuses what is found with where it is found,
-        # number by number, and computes again what several results need, unless a turn lies between.
-        return number + 1, totals, weighed(aim), draw.aimed(number + 2)
+        number, totals, rows = state
+        totals, rows = desk.at_work(step, rows, number, totals)
+        return number + 1, totals, rows
 
-    nothing = [jnp.zeros(pixels.count.shape, jnp.float32)] * sums
-    start = jnp.int32(0), nothing, weighed(draw.aimed(0)), draw.aimed(1)
-    return jax.lax.while_loop(lambda state: state[0] < most, one, start)[1]
+    start = jnp.int32(0), [jnp.zeros(pixels.count.shape, jnp.float32)] * sums
+    rows = desk.rows(step, *start)
+    return jax.lax.while_loop(lambda state: state[0] < most, one, (*start, rows))[1]
 
 
-def _index(scene, pixels, sample: Samples, camera):
-    """The pixel that a sample hits, -1 for none."""
+def _index(scene, pixels, number, sample: Samples, camera):
+    """The pixel that a sample hits; the one after the last for none, or beyond a pixel's count."""
     column, row, _ = _hit(pixels, sample, camera)
-    inside = (column >= 0) & (column < scene.width) & (row >= 0) & (row < scene.height)
-    column, row = (jnp.where(inside, place, 0).astype(jnp.int32) for place in (column, row))
-    return jnp.where(inside, row * scene.width + column, -1)
+    # What is left of 0 or far away becomes an unsigned number beyond the frame.
+    column, row = (jnp.floor(place).astype(jnp.int32).astype(jnp.uint32) for place in (column, row))
+    used = (column < scene.width) & (row < scene.height) & (number < pixels.count)
+    return jnp.where(used, row * scene.width + column, scene.width * scene.height).astype(jnp.int32)
 
 
-def _found(scene, pixels, sample: Samples, index, d, camera, settings):
+def _found(scene, pixels, sample: Samples, index, d, camera, settings, keep):
     """What a sample adds: weight times light of each channel, then for the ratio the weights."""
 
     def at(layer):
-        return layer.at[jnp.maximum(index, 0)].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return keep(layer.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False))
 
     column, row, offset = _hit(pixels, sample, camera)
-    lit = at(scene.light)
-    light = [lit[..., c] for c in range(len(d))]
-    last = at(scene.last)
-    if scene.slopes:
+    hit = _pairs.at(scene.layers, index, keep)
+    light, surface = hit[: len(d)], hit[len(d) : scene.layers_count]
+    weights = list(sample.weights)
+    if settings.distance == "surface":
         across, down = (place - jnp.floor(place) - 0.5 for place in (column, row))
-        last = last + at(scene.slopes[0]) * across + at(scene.slopes[1]) * down
+        depth = surface[0] if len(surface) == 1 else surface[0] + surface[1] * across + surface[2] * down
+        weights = _weights(pixels, depth, offset, sample, d, camera, settings, keep)
+    counts = surface[0] if settings.distance == "plane" and surface else None
     if scene.filtered is not None:
         light, coverage = _filtered(scene.filtered, pixels, sample, column, row, settings)
+        weights = [jnp.where(index < scene.width * scene.height, weight, 0) for weight in weights]
         if settings.distance == "plane":
-            last = coverage
+            counts = coverage
         else:
             # Whether the surface is hit is known of the sample's own pixel alone.
             light = [value / jnp.where(coverage > 0, coverage, 1) for value in light]
-    weights = list(sample.weights)
-    if settings.distance == "surface":
-        weights = _weights(pixels, last, offset, sample, d, camera, settings)
-    # Beyond the frame nothing is hit; light that does not count is 0 already.
-    weights = [jnp.where(index >= 0, weight, 0) for weight in weights]
     lit = [weight * value for weight, value in zip(weights, light, strict=True)]
     if settings.estimator == "unbiased":
         return lit
-    return lit + ([w * last for w in weights] if settings.distance == "plane" else weights)
+    return lit + (weights if counts is None else [weight * counts for weight in weights])
 
 
 def _hit(pixels, sample: Samples, camera):
     """Where a sample falls, in pixels, and the offset in space."""
     x, y = sample.x, sample.y
-    offset = tuple(x * a + y * b for a, b in zip(pixels.first, pixels.second, strict=True))
+    offset = x, y
+    if pixels.first:
+        offset = tuple(x * a + y * b for a, b in zip(pixels.first, pixels.second, strict=True))
     if camera.projection == "perspective" and len(offset) == 3:
         away = jnp.maximum(pixels.depth - offset[2], 1e-3 * pixels.depth)
         column = camera.cx + (pixels.place[0] + offset[0]) * (camera.fx / away)
         row = camera.cy - (pixels.place[1] + offset[1]) * (camera.fy / away)
     else:
-        column = pixels.column + (x * pixels.across[0] + y * pixels.across[1])
-        row = pixels.row + (x * pixels.down[0] + y * pixels.down[1])
+        column = pixels.column + offset[0] * pixels.across
+        row = pixels.row - offset[1] * pixels.up
     return column, row, offset
 
 
@@ -245,29 +255,32 @@ def _filtered(filtered, pixels, sample, column, row, settings):
     count = jnp.maximum(pixels.count, 1)
     bias = prefilter.bias_from_scale(settings.prefilter)
     density = jnp.where(around > 0, 1 / jnp.where(around > 0, around, 1), jnp.inf)
-    level = prefilter.level(density, count, pixels.plane_area, bias=bias)
+    level = prefilter.level(density, count, 1 / pixels.per_area, bias=bias)
     texel = mipmap.premultiplied(filtered, column, row, level)
     return [texel[..., c] for c in range(texel.shape[-1] - 1)], texel[..., -1]
 
 
-def _weights(pixels, last, offset, sample, d, camera, settings):
+def _weights(pixels, last, offset, sample, d, camera, settings, keep):
     """Weight of a sample in each channel, by the distance of the surface that it hits."""
-    moved, area = offset[:2], pixels.plane_area
+    moved, per_area = offset[:2], pixels.per_area
     if camera.projection == "perspective":
         # The place met lies on the ray through the sample, and the plane meets rays at other depths too.
-        away = pixels.depth - offset[2] if len(offset) == 3 else pixels.depth
-        stretch = last / away
-        moved = [v * stretch + p * (stretch - 1) for v, p in zip(moved, pixels.place[:2], strict=True)]
         if len(offset) == 3:
-            area = area * (away / pixels.depth) ** 3
-    distance = jnp.sqrt(jnp.square(moved[0]) + jnp.square(moved[1]) + jnp.square(pixels.depth - last))
-    weights = [sample.spacing * density(distance, shape, settings.cutoff) for shape in d]
-    weights = [sample.of_channel(c, weight, len(d)) for c, weight in enumerate(weights)]
+            away = pixels.depth - offset[2]
+            further = (last - away) / away
+            per_area = per_area * (pixels.depth / away) ** 3
+        else:
+            # Nothing where depth is constant, to the last bit.
+            further = (last - pixels.depth) * (pixels.across * (1 / camera.fx))
+        moved = [v + (v + p) * further for v, p in zip(moved, pixels.place[:2], strict=True)]
+    distance = keep(jnp.sqrt(jnp.square(moved[0]) + jnp.square(moved[1]) + jnp.square(pixels.depth - last)))
     if settings.estimator == "ratio":
-        return weights
-    # From the plane's area to the surface's, which the light carries, and to its larger distance.
-    change = sample.radius / (jnp.maximum(distance, 1e-12) * area)
-    return [w * change for w in weights]
+        change = sample.spacing
+    else:
+        # From the plane's area to the surface's, which the light carries, and to its larger distance.
+        change = keep(sample.spacing * sample.radius * per_area / jnp.maximum(distance, 1e-12))
+    weights = [change * density(distance, shape, settings.cutoff) for shape in d]
+    return [sample.of_channel(c, weight, len(d)) for c, weight in enumerate(weights)]
 
 
 def _to_unit(words):

@@ -10,14 +10,14 @@ import jax.core
 import jax.numpy as jnp
 from jax import Array
 
-from sssfit.frames import _block, mipmap, points, split, surface
+from sssfit.frames import _block, _desk, _pairs, mipmap, points, split, surface
 from sssfit.frames.camera import Camera
 from sssfit.frames.points import VERSIONS, Settings
 
 #: Pixels of one block.
-BLOCK = 8192
+BLOCK = 4096
 #: Rows, and segments in a row, whose pixels are sampled one after the other.
-_TILE = (64, 8)
+_TILE = (16, 16)
 #: Depth in mm of what is outside the mask; its square is a float32.
 _FAR = 1e15
 
@@ -81,17 +81,23 @@ def _every_block(program, seen, counts, d, random, settings, rows):
 
     wide = jax.config.read("jax_enable_x64")
 
-    def lane(first):
-        # A thread has a configuration of its own.
+    def lane(first, compiled):
+        return compiled(program, prepared, first, seen, d, random, settings, number)
+
+    def alone(first):
+        # A thread has a configuration of its own. It waits for its lane: else it might begin a second one,
+        # and of the programs that a thread begins each waits for the one before.
         with jax.enable_x64(wide):
-            return _lane(program, prepared, first, seen, d, random, settings, number)
+            return jax.block_until_ready(lane(first, _lane_alone))
 
     if number == 1 or any(map(_is_traced, jax.tree.leaves((prepared, seen, d)))):
-        return [lane(first) for first in range(number)], prepared
-    jax.block_until_ready(prepared)
-    # One program runs its loops one after the other, and so does one thread its programs.
-    with ThreadPoolExecutor(number) as threads:
-        return list(threads.map(lane, range(number))), prepared
+        return [lane(first, _lane_within) for first in range(number)], prepared
+    return list(_threads().map(alone, range(number))), prepared
+
+
+@functools.cache
+def _threads():
+    return ThreadPoolExecutor(lanes(), thread_name_prefix="sssfit-lane")
 
 
 @functools.partial(jax.jit, static_argnames=("settings", "rows", "lanes"))
@@ -107,16 +113,15 @@ def _prepared(seen, counts, d, random, settings, rows, lanes):
     return Prepared(_scene(seen, settings), table, counts, *_ordered(counts, BLOCK // VERSIONS * lanes))
 
 
-@functools.partial(jax.jit, static_argnames=("program", "settings", "lanes"))
 def _lane(program, prepared, first, seen, d, random, settings, lanes):
     """The results of every so manieth block, (blocks, segments, VERSIONS, ...)."""
     d = _positive(d)
     blocks = len(prepared.order) // lanes
     per_row = -(-seen.depth.shape[1] // VERSIONS)
 
-    def block(at):
-        segment = prepared.order[at * lanes + first]
-        pixels, within = _block.pixels_of(segment, per_row, seen, prepared.counts, random, settings)
+    def block(keep, at):
+        segment = keep(prepared.order[at * lanes + first])
+        pixels, within = _block.pixels_of(segment, per_row, seen, prepared.counts, random, settings, keep)
         if settings.points == "table":
             draw = _block.from_table(prepared.table)
         else:
@@ -129,10 +134,21 @@ def _lane(program, prepared, first, seen, d, random, settings, lanes):
         # Back from the version that a pixel uses to its place in the segment.
         return jnp.take_along_axis(found, within[..., None], axis=0).swapaxes(0, 1)
 
-    shape = jax.eval_shape(block, 0).shape
+    def next_block(at, state):
+        results, rows = state
+        found, rows = _desk.at_work(block, rows, at)
+        return results.at[at].set(found), rows
+
+    shape = jax.eval_shape(lambda at: block(lambda value: value, at), 0).shape
     used = jnp.sum((prepared.largest > 0) & (jnp.arange(len(prepared.largest)) % lanes == first))
-    start = jnp.zeros((blocks, *shape), jnp.float32)
-    return jax.lax.fori_loop(0, used, lambda at, results: results.at[at].set(block(at)), start)
+    start = jnp.zeros((blocks, *shape), jnp.float32), _desk.rows(block, 0)
+    return jax.lax.fori_loop(0, used, next_block, start)[0]
+
+
+_STATIC = ("program", "settings", "lanes")
+_lane_within = jax.jit(_lane, static_argnames=_STATIC)
+#: Not for use within another program, which has options of its own. Wider vectors are a fifth faster.
+_lane_alone = jax.jit(_lane, static_argnames=_STATIC, compiler_options={"xla_cpu_prefer_vector_width": 512})
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
@@ -196,17 +212,21 @@ def _falling(values):
 def _scene(seen: Seen, settings: Settings) -> _block.Scene:
     """What a sample finds in a pixel."""
     irradiance, depth, normal, mask, camera = seen
-    slopes: tuple[Array, ...] = ()
-    if settings.distance == "plane":
-        last = mask.astype(jnp.float32)
-    else:
-        last = jnp.where(mask, depth, _FAR)
+    surfaces: list[Array] = []
+    if settings.distance == "surface":
+        surfaces = [jnp.where(mask, depth, _FAR)]
         if normal is not None:
             slopes = surface.depth_slopes(depth, normal, camera)
-            slopes = tuple(jnp.where(mask, slope, 0).reshape(-1) for slope in slopes)
-        if settings.estimator == "unbiased" and normal is not None:
-            irradiance = irradiance * surface.pixel_area(depth, normal, camera)[..., None]
+            surfaces += [jnp.where(mask, slope, 0) for slope in slopes]
+            if settings.estimator == "unbiased":
+                irradiance = irradiance * surface.pixel_area(depth, normal, camera)[..., None]
+    elif settings.estimator == "ratio":
+        surfaces = [mask.astype(jnp.float32)]
     light = jnp.where(mask[..., None], irradiance, 0)
     filtered = None if settings.prefilter is None else mipmap.build(light, mask)
-    light = light.reshape(-1, light.shape[-1])
-    return _block.Scene(light, last.reshape(-1), slopes, filtered, *depth.shape)
+    outside = [0.0] * light.shape[-1] + [_FAR if settings.distance == "surface" else 0.0, 0.0, 0.0]
+    layers = [
+        jnp.pad(layer.reshape(-1), (0, 1), constant_values=value)
+        for layer, value in zip([*jnp.moveaxis(light, -1, 0), *surfaces], outside, strict=False)
+    ]
+    return _block.Scene(_pairs.side_by_side(layers), filtered, len(layers), *depth.shape)

@@ -58,6 +58,12 @@ class Camera(eqx.Module):
             return self.fx / depth, self.fy / depth
         return jnp.full_like(depth, self.fx), jnp.full_like(depth, self.fy)
 
+    def mm_per_pixel(self, depth: ArrayLike) -> tuple[Array, Array]:
+        """Width and height in mm that a pixel has at a depth in mm, across the viewing axis."""
+        depth = _floating(depth)
+        away = depth if self.projection == "perspective" else jnp.ones_like(depth)
+        return away * (1 / self.fx), away * (1 / self.fy)
+
     def coordinates(self, column: ArrayLike, row: ArrayLike, depth: ArrayLike) -> tuple[Array, Array, Array]:
         """The x, y and z of `position`, apart: for arithmetic that should not make a copy of them."""
         column, row, depth = map(_floating, (column, row, depth))

@@ -5,6 +5,7 @@ them; `table` makes sixteen versions for all pixels to pick from, each pixel tur
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
@@ -23,6 +24,8 @@ Distance = Literal["surface", "plane"]
 Plane = Literal["screen", "tangent"]
 Points = Literal["table", "fresh"]
 Sequence = Literal["r2", "iid", "sobol", "hammersley", "fibonacci"]
+
+Keep = Callable[[Array], Array]
 
 #: Versions of a table: neighbours in a row differ, and the lanes of a vector unit each have theirs.
 VERSIONS = 16
@@ -171,8 +174,7 @@ def inner(radius: ArrayLike, d: Array, settings: Settings) -> Inner:
         0.37063
     """
     radius = jnp.asarray(radius)
-    whole = 1.0 if settings.cutoff is None else float(pixel_kernel.cdf(np.array(settings.cutoff)))
-    share = tuple(jnp.minimum(burley.cdf(radius, shape) / whole, 1) for shape in d)
+    share = tuple(jnp.minimum(burley.cdf(radius, shape) / _within(settings.cutoff), 1) for shape in d)
     # The mixture of exponentials is not ordered by its variate: all of it is drawn.
     ordered = settings.importance != "mixture"
     start = tuple(burley.cdf(_MARGIN * radius * ordered, shape) for shape in d)
@@ -218,6 +220,7 @@ def aimed(
     *,
     count: ArrayLike,
     beyond: Inner | None = None,
+    keep: Keep = lambda value: value,
 ) -> Aim:
     """Draw samples, without their weights.
 
@@ -228,6 +231,7 @@ def aimed(
         settings: see `Settings`.
         count: the largest count of a pixel, for sequences that need it.
         beyond: a disc in which none is drawn.
+        keep: what is applied to results that are used more than once.
 
     Returns:
         See `Aim`.
@@ -256,12 +260,18 @@ def aimed(
     first = _of(channel, list(beyond.drawn_from)) if beyond else 0.0
     span = _span(settings, first)
     variate = first + variate * span
-    radius = method.radius(variate, drawn_for)
-    cosine, sine = disk.rotation(turn)
+    radius = keep(method.radius(variate, drawn_for))
+    cosine, sine = disk.direction(turn)
     return Aim(radius * cosine, radius * sine, radius, method.pdf(variate, drawn_for) / span, channel)
 
 
-def weighed(aim: Aim, d: Array, settings: Settings, beyond: Inner | None = None) -> Samples:
+def weighed(
+    aim: Aim,
+    d: Array,
+    settings: Settings,
+    beyond: Inner | None = None,
+    keep: Keep = lambda value: value,
+) -> Samples:
     """The weights of what was drawn.
 
     Args:
@@ -270,6 +280,7 @@ def weighed(aim: Aim, d: Array, settings: Settings, beyond: Inner | None = None)
         settings: see `Settings`.
         beyond: the disc in which none is drawn; what remains is weighted as it is, and its weights average
             to 1 - share.
+        keep: what is applied to results that are used more than once.
 
     Returns:
         See `Samples`.
@@ -284,21 +295,27 @@ def weighed(aim: Aim, d: Array, settings: Settings, beyond: Inner | None = None)
     """
     channels = len(d)
     cutoff = _drawn_cutoff(settings)
-    every = [density(aim.radius, shape, cutoff) for shape in d]
+    every = [keep(density(aim.radius, shape, cutoff)) for shape in d]
     own = _of(aim.channel, every)
     starts = list(beyond.drawn_from) if beyond else [0.0] * channels
-    drawn_density = aim.density if settings.corrected else own / (1 - _of(aim.channel, starts))
+    spans = [_span(settings, start) for start in starts]
+    # The channel's density over what was drawn of it, and over the share of its variates.
+    if not settings.corrected:
+        over_drawn = (1 - _of(aim.channel, starts)) / _of(aim.channel, spans)
+    elif inverse_cdf.METHODS[settings.importance].draws_profile:
+        over_drawn = 1 / _within(cutoff)
+    else:
+        over_drawn = own / (_of(aim.channel, spans) * aim.density)
     if settings.channels == "mixture":
         # The share of this channel among all that could have drawn the radius, times 1 / its density.
-        spans = [_span(settings, start) for start in starts]
         among = sum(one / span for one, span in zip(every, spans, strict=True)) / channels
-        spacing = own / (_of(aim.channel, spans) * drawn_density * jnp.where(among > 0, among, 1))
+        spacing = over_drawn / jnp.where(among > 0, among, 1)
     else:
-        spacing = 1 / drawn_density
+        spacing = over_drawn * _of(aim.channel, spans) / jnp.where(own > 0, own, 1)
     used = own > 0
     if beyond is not None:
         used = used & (aim.radius >= beyond.radius)
-    spacing = jnp.where(used, spacing, 0)
+    spacing = keep(jnp.where(used, spacing, 0))
     only = aim.channel if settings.channels == "each" else None
     found = Samples(aim.x, aim.y, spacing, aim.radius, only, ())
     weights = every if settings.distance == "plane" else []
@@ -327,7 +344,12 @@ def density(r: ArrayLike, d: ArrayLike, cutoff: float | None) -> Array:
     whole = slow * (1 + jnp.square(slow)) * (1 / (4 * d))
     if cutoff is None:
         return whole
-    return jnp.where(r <= cutoff * d, whole * float(1 / pixel_kernel.cdf(np.array(cutoff))), 0)
+    return jnp.where(r <= cutoff * d, whole * (1 / _within(cutoff)), 0)
+
+
+def _within(cutoff: float | None) -> float:
+    """The share of the whole profile within the cut-off."""
+    return 1.0 if cutoff is None else float(pixel_kernel.cdf(np.array(cutoff)))
 
 
 def _drawn_cutoff(settings: Settings) -> float | None:

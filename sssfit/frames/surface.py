@@ -61,8 +61,8 @@ def pixel_area(depth: ArrayLike, normal: ArrayLike, camera: Camera) -> Array:
     depth = jnp.asarray(depth)
     rows, columns = depth.shape
     at = facing(normal, jnp.arange(columns) + 0.5, jnp.arange(rows)[:, None] + 0.5, camera)
-    across, up = camera.pixels_per_mm(depth)
-    return 1 / (across * up * jnp.maximum(at, MIN_COSINE))
+    wide, high = camera.mm_per_pixel(depth)
+    return wide * high * (1 / jnp.maximum(at, MIN_COSINE))
 
 
 def depth_slopes(depth: ArrayLike, normal: ArrayLike, camera: Camera) -> tuple[Array, Array]:
@@ -89,6 +89,7 @@ def depth_slopes(depth: ArrayLike, normal: ArrayLike, camera: Camera) -> tuple[A
     depth, normal = jnp.asarray(depth), jnp.asarray(normal)
     rows, columns = depth.shape
     at = facing(normal, jnp.arange(columns) + 0.5, jnp.arange(rows)[:, None] + 0.5, camera)
-    at = jnp.maximum(at, MIN_COSINE)
-    across, up = camera.pixels_per_mm(depth)
-    return normal[..., 0] / (across * at), -normal[..., 1] / (up * at)
+    # Divided once, as for the area.
+    lean = 1 / jnp.maximum(at, MIN_COSINE)
+    wide, high = camera.mm_per_pixel(depth)
+    return normal[..., 0] * wide * lean, -normal[..., 1] * high * lean

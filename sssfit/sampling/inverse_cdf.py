@@ -40,6 +40,8 @@ class Method(NamedTuple):
         radius: (xi, d) -> radius in mm.
         pdf: (xi, d) -> density in 1/mm that is drawn at that radius.
         summary: what it is, in a few words.
+        draws_profile: whether that density is the profile's own, `burley.pdf`, within 3e-7, so that float32
+            need not compute it to weigh a sample.
 
     Example:
         >>> method = METHODS["log_linear"]
@@ -51,6 +53,7 @@ class Method(NamedTuple):
     radius: Callable[[ArrayLike, ArrayLike], Array]
     pdf: Callable[[ArrayLike, ArrayLike], Array]
     summary: str
+    draws_profile: bool = False
 
 
 def exact(xi: ArrayLike, d: ArrayLike) -> Array:
@@ -346,7 +349,7 @@ def _unbiased(radius: Callable[[ArrayLike, ArrayLike], Array], summary: str) -> 
     def pdf(xi: ArrayLike, d: ArrayLike) -> Array:
         return burley.pdf(radius(xi, d), d)
 
-    return Method(radius, pdf, summary)
+    return Method(radius, pdf, summary, draws_profile=True)
 
 
 #: Every method by name; see `Method`.
@@ -361,5 +364,5 @@ METHODS: dict[str, Method] = {
     "log_linear": _approximate(log_linear, "log and 1 coefficient"),
     "log_poly4": _approximate(log_poly4, "log and 4 coefficients"),
     "log_poly8": _approximate(log_poly8, "log and 8 coefficients"),
-    "log_poly12": _approximate(log_poly12, "log and 12 coefficients"),
+    "log_poly12": _approximate(log_poly12, "log and 12 coefficients")._replace(draws_profile=True),
 }

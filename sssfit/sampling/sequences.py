@@ -182,7 +182,8 @@ def _at_least_one(count: ArrayLike) -> Array:
 
 def _shifted(first: Array, second: Array, shift: ArrayLike) -> Array:
     shift = jnp.asarray(shift, jnp.uint32)
-    return _to_unit(jnp.stack(jnp.broadcast_arrays(shift[0] + first, shift[1] + second)))
+    # Each coordinate whole before they are stacked: one who uses them apart need not make the stack.
+    return jnp.stack(jnp.broadcast_arrays(_to_unit(shift[0] + first), _to_unit(shift[1] + second)))
 
 
 def _to_unit(words: Array) -> Array:
