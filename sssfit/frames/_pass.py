@@ -17,7 +17,9 @@ from sssfit.frames.points import VERSIONS, Settings
 #: Pixels of one block.
 BLOCK = 4096
 #: Rows, and segments in a row, whose pixels are sampled one after the other.
-_TILE = (16, 16)
+_TILE = (32, 8)
+#: Tiles, down and across, whose segments are sorted by their counts.
+_REGION = (4, 2)
 #: Depth in mm of what is outside the mask; its square is a float32.
 _FAR = 1e15
 
@@ -110,7 +112,7 @@ def _prepared(seen, counts, d, random, settings, rows, lanes):
     table = None
     if settings.points == "table":
         table = points.table(rows, d, settings, count=random.most, seed=random.seed, frame=random.frame)
-    return Prepared(_scene(seen, settings), table, counts, *_ordered(counts, BLOCK // VERSIONS * lanes))
+    return Prepared(_scene(seen, settings), table, counts, *_ordered(counts, lanes))
 
 
 def _lane(program, prepared, first, seen, d, random, settings, lanes):
@@ -177,36 +179,42 @@ def _positive(d):
     return jnp.where(d != 0, d, 1)
 
 
-def _ordered(counts, multiple):
-    """Segments in falling order of their largest counts, in blocks; the blocks' largest; where each went."""
+def _ordered(counts, lanes):
+    """Segments in blocks of like counts; the blocks' largest, falling; where each segment went."""
     height, width = counts.shape
     per_row = -(-width // VERSIONS)
-    padded = jnp.pad(counts, ((0, 0), (0, per_row * VERSIONS - width)))
-    largest = jnp.max(padded.reshape(-1, VERSIONS), axis=1)
-    # Tile by tile, so that what neighbours look up is still in a cache. Segments beyond the frame hold no
-    # pixel, and nothing is drawn for them.
-    unused = (0, -height % _TILE[0]), (0, -per_row % _TILE[1])
-    number = jnp.pad(jnp.arange(len(largest)).reshape(height, per_row), unused, constant_values=len(largest))
-    tiles = number.reshape(-1, _TILE[0], number.shape[1] // _TILE[1], _TILE[1]).swapaxes(1, 2).reshape(-1)
-    order = tiles[_falling(jnp.pad(largest, (0, 1))[tiles])]
-    order = jnp.pad(order, (0, -len(order) % multiple), constant_values=len(largest))
+    largest = jnp.pad(counts, ((0, 0), (0, per_row * VERSIONS - width)))
+    largest = jnp.max(largest.reshape(height, per_row, VERSIONS), axis=-1)
+    none = height * per_row
+    number = jnp.arange(none, dtype=jnp.int32).reshape(height, per_row)
+    # Segments beyond the frame hold no pixel, and nothing is drawn for them.
+    number, sought = _regions(number, none), _regions(largest, 0)
+    # A falling count and a place in one word sort three times as fast as a key and a place.
+    size = number.shape[1]
+    bits = (size - 1).bit_length()
+    most = (1 << (32 - bits)) - 1
+    words = (most - jnp.minimum(sought, most)).astype(jnp.uint32) << bits
+    words = jnp.sort(words | jnp.arange(size, dtype=jnp.uint32), axis=1) & jnp.uint32(size - 1)
+    # Within a block in the order of the tiles, so that what neighbours look up is still in a cache.
+    blocks = jnp.sort(words.astype(jnp.int32).reshape(len(words), -1, BLOCK // VERSIONS), axis=-1)
+    blocks = jnp.take_along_axis(number[:, None], blocks, axis=2).reshape(-1, BLOCK // VERSIONS)
+    blocks = jnp.pad(blocks, ((0, -len(blocks) % lanes), (0, 0)), constant_values=none)
+    in_block = jnp.max(jnp.pad(largest.reshape(-1), (0, 1))[blocks], axis=1)
+    rank = jnp.argsort(-in_block)
+    blocks = blocks[rank]
     places = (
-        jnp.zeros(len(largest) + 1, jnp.int32).at[order].set(jnp.arange(len(order), dtype=jnp.int32))[:-1]
+        jnp.zeros(none + 1, jnp.int32).at[blocks.reshape(-1)].set(jnp.arange(blocks.size, dtype=jnp.int32))
     )
-    blocks = order.reshape(-1, BLOCK // VERSIONS)
-    return blocks, jnp.max(jnp.pad(largest, (0, 1))[blocks], axis=1), places
+    return blocks, in_block[rank], places[:-1]
 
 
-def _falling(values):
-    """Places of integers >= 0 in falling order, like values in their order: for many, in 1,024 classes."""
-    bits = max(len(values) - 1, 1).bit_length()
-    if bits > 22:
-        return jnp.argsort(-values)
-    # One word to sort is three times as fast as a key and a place.
-    most = jnp.maximum(jnp.max(values), 1)
-    rank = jnp.ceil(values * (1023 / most)).astype(jnp.uint32)
-    words = ((1023 - jnp.minimum(rank, 1023)) << bits) | jnp.arange(len(values), dtype=jnp.uint32)
-    return (jnp.sort(words) & jnp.uint32((1 << bits) - 1)).astype(jnp.int32)
+def _regions(layer, value):
+    """What is known of the segments, region by region and in each tile by tile."""
+    rows, columns = (many * tile for many, tile in zip(_REGION, _TILE, strict=True))
+    unused = tuple((0, -length % step) for length, step in zip(layer.shape, (rows, columns), strict=True))
+    layer = jnp.pad(layer, unused, constant_values=value)
+    layer = layer.reshape(-1, _REGION[0], _TILE[0], layer.shape[1] // columns, _REGION[1], _TILE[1])
+    return layer.transpose(0, 3, 1, 4, 2, 5).reshape(-1, rows * columns)
 
 
 def _scene(seen: Seen, settings: Settings) -> _block.Scene:

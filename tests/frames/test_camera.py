@@ -68,6 +68,7 @@ def test_a_pixel_is_as_wide_as_pixels_per_mm_say(x64, camera, depth):
     left, right = camera.position(jnp.array([100.0, 101.0]), jnp.array([50.0, 51.0]), depth)
     per_x, per_y = camera.pixels_per_mm(depth)
     np.testing.assert_allclose(right - left, [1 / per_x, -1 / per_y, 0], rtol=1e-11)
+    np.testing.assert_allclose(camera.mm_per_pixel(depth), [1 / per_x, 1 / per_y], rtol=1e-14)
 
 
 def test_images_of_depth_broadcast_with_the_pixels_centres():
