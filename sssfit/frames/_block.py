@@ -89,17 +89,19 @@ def pixels_of(segment, per_row, seen, counts, random, settings, keep):
 
 def _axes(settings, camera, words, middle, own, normal, keep):
     """The sampling plane's axes, and the cosine of its angle to the ray through the pixel."""
-    cosine = sine = None
+    turned = []
     if settings.points == "table":
-        cosine, sine = map(keep, disk.rotation(_to_unit(words[0])))
+        turned = [keep(part) for part in disk.rotation(_to_unit(words[0]))]
     if settings.plane == "screen":
-        return ((), (), 1) if cosine is None else ((cosine, sine), (-sine, cosine), 1)
+        return (tuple(turned), (-turned[1], turned[0]), 1) if turned else ((), (), 1)
     normal = own(normal)
-    facing = surface.facing(normal, *middle, camera)
+    column, row = middle
+    facing = surface.facing(normal, column, row, camera)
     usable = facing >= surface.MIN_COSINE
     toward = jnp.where(usable[..., None], normal, jnp.array([0.0, 0.0, 1.0]))
     first, second = (tuple(jnp.moveaxis(axis, -1, 0)) for axis in disk.basis(toward))
-    if cosine is not None:
+    if turned:
+        cosine, sine = turned
         pairs = list(zip(first, second, strict=True))
         first = tuple(cosine * t + sine * b for t, b in pairs)
         second = tuple(cosine * b - sine * t for t, b in pairs)

@@ -29,7 +29,10 @@ def unpack(words: Array) -> tuple[Array, Array]:
     with jax.enable_x64(True):
         bits = jax.lax.bitcast_convert_type(words, jnp.uint64)
         low, high = bits.astype(jnp.uint32), (bits >> jnp.uint64(32)).astype(jnp.uint32)
-        return tuple(jax.lax.bitcast_convert_type(v, jnp.float32) for v in (low, high))
+        return (
+            jax.lax.bitcast_convert_type(low, jnp.float32),
+            jax.lax.bitcast_convert_type(high, jnp.float32),
+        )
 
 
 @unpack.defjvp
