@@ -64,9 +64,9 @@ def direction(turn: ArrayLike) -> tuple[Array, Array]:
     Source: Taylor's series of half the angle, to rounding, and the double-angle formulas.
 
     Example:
-        >>> cosine, sine = direction(jnp.array([0.0, 0.125, 0.5]))
-        >>> [round(float(x), 6) for x in (*cosine, *sine)]
-        [1.0, 0.707107, -1.0, 0.0, 0.707107, 0.0]
+        >>> cosine, sine = direction(jnp.array([0.125, 0.375]))
+        >>> [round(float(x), 5) for x in (*cosine, *sine)]
+        [0.70711, -0.70711, 0.70711, 0.70711]
     """
     dtype, (turn,) = broadcast(turn)
     half = (turn - 0.5) / 2
