@@ -172,8 +172,8 @@ def whole_segments(counts: ArrayLike, mask: ArrayLike | None = None) -> Array:
     return jnp.where(own > 0, largest, 0)
 
 
-def _each_profile(of_pass, frame, profiles, counts, settings, seed, result):
-    """The result of each profile's pass at its own pixels."""
+def _each_profile(of_pass, frame, profiles, counts, settings, seed, start):
+    """The result of each profile's pass at its own pixels; `start` is what a pass has at all others."""
     ids = np.asarray(frame.profile_id)
     masks = {number: ids == number for number in profiles}
     known = functools.reduce(np.logical_or, masks.values(), ids == 0)
@@ -183,6 +183,7 @@ def _each_profile(of_pass, frame, profiles, counts, settings, seed, result):
             f"there are {', '.join(map(str, sorted(profiles)))}"
         )
     most = int(np.max(np.asarray(counts), initial=0))
+    result = None
     for number, mask in masks.items():
         d = profiles[number]
         if number != 0 and d is not None and mask.any():
@@ -191,8 +192,9 @@ def _each_profile(of_pass, frame, profiles, counts, settings, seed, result):
                 of_pass, frame.irradiance, frame.depth, frame.camera, d, counts, mask, frame.normal,
                 settings, most, seed, 0,
             )  # fmt: skip
-            result = jnp.where(mask.reshape(mask.shape + (1,) * (found.ndim - 2)), found, result)
-    return result
+            mask = mask.reshape(mask.shape + (1,) * (found.ndim - 2))
+            result = found if result is None else jnp.where(mask, found, result)
+    return start if result is None else result
 
 
 def _run(of_pass, irradiance, depth, camera, d, counts, mask, normal, settings, most, seed, frame):
