@@ -45,11 +45,12 @@ class Scene(eqx.Module):
     """What samples fall on.
 
     Attributes:
-        layers: pixels row by row, in which those that do not count are dark and far away, and one such pixel
-            more, of (pixels + 1,), two by two in words (`_pairs`): the light of each channel; then for a
-            distance to the surface its depth, and how it changes by column and by row where that is known;
-            or, for the ratio in the plane, whether the pixel counts.
+        layers: words of each pixel, row by row (`_pairs.side_by_side`), in which those that do not count are
+            dark and far away, and of one such pixel more: the light of each channel; then for a distance to
+            the surface its depth, and how it changes by column and by row where that is known; or, for the
+            ratio in the plane, whether the pixel counts.
         filtered: prefiltered copies of the light, where the settings ask for them.
+        layers_count: how many layers there are; a word may have room for one more.
         height, width: of the frame.
     """
 
