@@ -5,7 +5,6 @@ them; `table` makes sixteen versions for all pixels to pick from, each pixel tur
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
 import jax
@@ -15,6 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from sssfit.frames import pixel_kernel
+from sssfit.frames._desk import Keep
 from sssfit.profiles import burley
 from sssfit.sampling import disk, hashes, inverse_cdf, sequences
 
@@ -24,8 +24,6 @@ Distance = Literal["surface", "plane"]
 Plane = Literal["screen", "tangent"]
 Points = Literal["table", "fresh"]
 Sequence = Literal["r2", "iid", "sobol", "hammersley", "fibonacci"]
-
-Keep = Callable[[Array], Array]
 
 #: Versions of a table: neighbours in a row differ, and the lanes of a vector unit each have theirs.
 VERSIONS = 16
