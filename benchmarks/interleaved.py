@@ -41,8 +41,9 @@ def measure(
 ) -> dict[str, np.ndarray]:
     """Wall times in seconds of each program, shape (repeats,), after one untimed run of each.
 
-    A program returns when its result is complete: one that runs asynchronously waits for it itself. Times
-    at the same index come from the same round, so their ratio is free of slow changes of the load.
+    Each run comes after a pause in seconds. A program returns when its result is complete: one that runs
+    asynchronously waits for it itself. Times at the same index come from the same round, so their ratio is
+    free of slow changes of the load.
     """
     for program in programs.values():
         program()

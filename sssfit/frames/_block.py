@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from sssfit.frames import _desk as desk
-from sssfit.frames import _pairs, mipmap, points, surface
+from sssfit.frames import _desk, _pairs, mipmap, points, surface
 from sssfit.frames.points import VERSIONS, Samples, density
 from sssfit.sampling import disk, hashes, prefilter
 
@@ -190,11 +189,11 @@ def _accumulated(scene, pixels, most, draw, d, camera, settings, sums, add):
 
     def one(state):
         number, totals, rows = state
-        totals, rows = desk.at_work(step, rows, number, totals)
+        totals, rows = _desk.at_work(step, rows, number, totals)
         return number + 1, totals, rows
 
     start = jnp.int32(0), [jnp.zeros(pixels.count.shape, jnp.float32)] * sums
-    rows = desk.rows(step, *start)
+    rows = _desk.rows(step, *start)
     return jax.lax.while_loop(lambda state: state[0] < most, one, (*start, rows))[1]
 
 
@@ -209,19 +208,15 @@ def _index(scene, pixels, number, sample: Samples, camera):
 
 def _found(scene, pixels, sample: Samples, index, d, camera, settings, keep):
     """What a sample adds: weight times light of each channel, then for the ratio the weights."""
-
-    def at(layer):
-        return keep(layer.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False))
-
     column, row, offset = _hit(pixels, sample, camera)
     hit = _pairs.at(scene.layers, index, keep)
-    light, surface = hit[: len(d)], hit[len(d) : scene.layers_count]
+    light, ground = hit[: len(d)], hit[len(d) : scene.layers_count]
     weights = list(sample.weights)
     if settings.distance == "surface":
         across, down = (place - jnp.floor(place) - 0.5 for place in (column, row))
-        depth = surface[0] if len(surface) == 1 else surface[0] + surface[1] * across + surface[2] * down
+        depth = ground[0] if len(ground) == 1 else ground[0] + ground[1] * across + ground[2] * down
         weights = _weights(pixels, depth, offset, sample, d, camera, settings, keep)
-    counts = surface[0] if settings.distance == "plane" and surface else None
+    counts = ground[0] if settings.distance == "plane" and ground else None
     if scene.filtered is not None:
         light, coverage = _filtered(scene.filtered, pixels, sample, column, row, settings)
         weights = [jnp.where(index < scene.width * scene.height, weight, 0) for weight in weights]

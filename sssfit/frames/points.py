@@ -259,7 +259,7 @@ def aimed(
     span = _span(settings, first)
     variate = first + variate * span
     radius = keep(method.radius(variate, drawn_for))
-    cosine, sine = disk.direction(turn)
+    cosine, sine = disk.rotation(turn)
     return Aim(radius * cosine, radius * sine, radius, method.pdf(variate, drawn_for) / span, channel)
 
 

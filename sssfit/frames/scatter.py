@@ -1,9 +1,9 @@
 """Monte Carlo scattering of whole frames, at a cost that follows the samples.
 
-A frame is cut into segments of sixteen pixels of a row. They are sorted by the largest count in each, and go
-through one program, block by block, which draws as many samples as the block's largest count: the time is
-that of the samples, whatever the mean count. Each profile has a pass of its own over its own pixels, so that
-no sample asks which profile it hit, and profiles cannot bleed into each other.
+A frame is cut into segments of sixteen pixels of a row. Those of a region are sorted by the largest count in
+each, and all go through one program, block by block, which draws as many samples as the block's largest
+count: the time is that of the samples, whatever the mean count. Each profile has a pass of its own over its
+own pixels, so that no sample asks which profile it hit, and profiles cannot bleed into each other.
 """
 
 import functools

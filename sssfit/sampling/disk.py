@@ -16,8 +16,8 @@ from jax.typing import ArrayLike
 from sssfit.profiles._elementwise import broadcast
 
 # Taylor coefficients of cos(2 pi x) and sin(2 pi x) / x in x^2.
-_COSINE = [(-1) ** k * (2 * math.pi) ** (2 * k) / math.factorial(2 * k) for k in range(13)]
-_SINE = [(-1) ** k * (2 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(13)]
+_COSINE = [(-1) ** k * (2 * math.pi) ** (2 * k) / math.factorial(2 * k) for k in range(10)]
+_SINE = [(-1) ** k * (2 * math.pi) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(10)]
 
 
 def rotation(turn: ArrayLike) -> tuple[Array, Array]:
@@ -49,33 +49,6 @@ def rotation(turn: ArrayLike) -> tuple[Array, Array]:
     cosine = jnp.where((quadrant == 1) | (quadrant == 2), 0 - cosine, cosine)
     sine = jnp.where(quadrant >= 2, 0 - sine, sine)
     return cosine.astype(dtype), sine.astype(dtype)
-
-
-def direction(turn: ArrayLike) -> tuple[Array, Array]:
-    """The cosine and sine of a random angle in turns, in half the time of `rotation`.
-
-    Args:
-        turn: the angle in turns, within [0, 1]. Beyond: not meaningful. NaN: NaN.
-
-    Returns:
-        Cosine and sine, same shape; within 5e-7 of their values in float32, absolutely, so that small ones
-        have few digits.
-
-    Source: Taylor's series of half the angle, to rounding, and the double-angle formulas.
-
-    Example:
-        >>> cosine, sine = direction(jnp.array([0.125, 0.375]))
-        >>> [round(float(x), 5) for x in (*cosine, *sine)]
-        [0.70711, -0.70711, 0.70711, 0.70711]
-    """
-    dtype, (turn,) = broadcast(turn)
-    half = (turn - 0.5) / 2
-    # Half the angle is within a quarter turn, where the series need a term or two more than near an axis.
-    terms = 7 if turn.dtype == jnp.float32 else 13
-    squared = jnp.square(half)
-    cosine = _polynomial(squared, _COSINE[:terms])
-    sine = half * _polynomial(squared, _SINE[:terms])
-    return ((sine - cosine) * (sine + cosine)).astype(dtype), (-2 * sine * cosine).astype(dtype)
 
 
 def offsets(radius: ArrayLike, turn: ArrayLike) -> Array:

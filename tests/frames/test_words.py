@@ -42,6 +42,15 @@ def test_layers_are_looked_up_as_they_are(count, wide):
         np.testing.assert_array_equal(again, layer[index])
 
 
+def test_where_words_would_lose_bits_each_number_is_one(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    layers = [np.arange(5, dtype=np.float32) + 10 * k for k in range(3)]
+    table = _pairs.side_by_side([jnp.asarray(layer) for layer in layers])
+    assert table.dtype == jnp.float32 and table.shape == (5, 3)
+    found = _pairs.at(table, jnp.array([4, 0]))
+    np.testing.assert_array_equal(found, [layer[[4, 0]] for layer in layers])
+
+
 def test_lookups_are_differentiated_as_if_there_were_no_words():
     rng = np.random.default_rng(0)
     values, tangents = rng.normal(size=(2, 3, 20)).astype(np.float32)

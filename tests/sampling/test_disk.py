@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from sssfit.sampling import disk
 
 rotation = jax.jit(disk.rotation)
-direction = jax.jit(disk.direction)
 offsets = jax.jit(disk.offsets)
 slopes = jax.jit(jax.jacobian(disk.offsets, argnums=(0, 1)))
 basis = jax.jit(disk.basis)
@@ -46,18 +45,6 @@ def test_cosine_and_sine_have_full_relative_accuracy(dtype):
             for f, e in zip(found[~zero], np.array(expected)[~zero], strict=True)
         ]
         assert max(relative) < 2.5 * float(np.finfo(dtype).eps)
-
-
-def test_directions_are_within_their_absolute_error(dtype):
-    turn = turns(dtype)
-    turn = np.concatenate([turn[(turn >= 0) & (turn <= 1)], np.array([1 - 2.0**-24], dtype)])
-    found = direction(turn)
-    for part, expected in zip(found, exact(turn), strict=True):
-        assert part.dtype == dtype
-        error = [abs(mpmath.mpf(float(f)) - e) for f, e in zip(part, expected, strict=True)]
-        assert max(error) < 4.5 * float(np.finfo(dtype).eps)
-    assert [part.tolist() for part in direction(jnp.array([0, 0.5, 1], dtype))] == [[1, -1, 1], [0, 0, 0]]
-    assert np.isnan(direction(jnp.asarray(np.nan, dtype))).all()
 
 
 def test_axes_are_exact(dtype):
