@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from frames_problem import Problem, Scene
 
-from sssfit.frames import points, scatter
-from sssfit.frames.points import VERSIONS
+from sssfit.frames import _order, points, scatter
 
 LEAST = 8
 #: Samples in proportion to the fixed number, which the controller's targets are chosen for.
@@ -44,7 +43,7 @@ class Line(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Of each map the samples asked for, those that its segments draw, and rounds of seconds."""
+    """Of each map the samples asked for, those that its blocks draw, and rounds of seconds."""
 
     asked: dict[str, int]
     drawn: dict[str, int]
@@ -87,10 +86,9 @@ def variance(problem: Problem) -> np.ndarray:
 
 
 def drawn(counts: np.ndarray) -> int:
-    """Samples that are computed: a segment of sixteen pixels draws the largest count among them for each."""
-    height, width = counts.shape
-    padded = np.pad(counts, ((0, 0), (0, -width % VERSIONS)))
-    return VERSIONS * int(padded.reshape(-1, VERSIONS).max(axis=1).sum())
+    """Samples that are computed: a block draws the largest count in it for each of its pixels."""
+    _, largest, _ = _order.of_segments(jnp.asarray(counts, jnp.int32), 1)
+    return _order.BLOCK * int(largest.sum())
 
 
 def adaptive_report(scene: Scene, options: argparse.Namespace) -> tuple[dict[str, list[Adaptive]], str]:
@@ -213,7 +211,7 @@ def draw(found: Maps, path: Path) -> None:
     times = {name: 1e3 * np.percentile(seconds, (25, 50, 75)) for name, seconds in found.seconds.items()}
     for samples, face, what in (
         (found.asked, "white", "samples asked for"),
-        (found.drawn, "#0072b2", "samples drawn: a segment's largest count for each of its pixels"),
+        (found.drawn, "#0072b2", "samples drawn: a block's largest count for each of its pixels"),
     ):
         x = [samples[name] / 1e6 for name in times]
         y = [time[1] for time in times.values()]

@@ -80,10 +80,10 @@ def test_the_controllers_counts_have_the_mean_asked_for(load):
         assert np.all(np.diff(counts[mask][np.argsort(variance[mask])]) >= 0)
 
 
-def test_a_segment_draws_its_largest_count(load):
-    counts = np.zeros((2, 20), int)
-    counts[0, 3], counts[1, 17], counts[1, 18] = 5, 2, 7
-    assert load("frames_counts").drawn(counts) == 16 * (5 + 7)
+def test_a_block_draws_its_largest_count(load):
+    counts = np.zeros((300, 20), int)
+    counts[0, 3], counts[1, 17], counts[299, 0] = 5, 7, 2
+    assert load("frames_counts").drawn(counts) == 4096 * (7 + 2)
 
 
 def test_the_line_through_times_is_least_squares(load):

@@ -10,16 +10,10 @@ import jax.core
 import jax.numpy as jnp
 from jax import Array
 
-from sssfit.frames import _block, _desk, _pairs, mipmap, points, split, surface
+from sssfit.frames import _block, _desk, _order, _pairs, _spare, mipmap, points, split, surface
 from sssfit.frames.camera import Camera
 from sssfit.frames.points import VERSIONS, Settings
 
-#: Pixels of one block.
-BLOCK = 4096
-#: Rows, and segments in a row, whose pixels are sampled one after the other.
-_TILE = (32, 8)
-#: Tiles, down and across, whose segments are sorted by their counts.
-_REGION = (4, 2)
 #: Depth in mm of what is outside the mask; its square is a float32.
 _FAR = 1e15
 
@@ -43,7 +37,7 @@ class Random(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What all blocks share: counts by pixel, segments by block, and the place each segment has got."""
+    """What all blocks share: counts by pixel, segments by block, and the place that each segment has got."""
 
     scene: _block.Scene
     table: points.Samples | None
@@ -55,17 +49,15 @@ class Prepared(NamedTuple):
 
 def mean(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int) -> Array:
     """The scattered frame, (H, W, C); what is not sampled keeps its irradiance."""
-    parts, prepared = _every_block(_block.mean_of_samples, seen, counts, d, random, settings, rows)
-    return _image(parts, prepared, seen, d, settings)
+    parts, counts, places = _every_block(_block.mean_of_samples, seen, counts, d, random, settings, rows)
+    return _image(parts, counts, places, seen, d, settings)
 
 
 def variance(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int) -> Array:
     """Variance of one sample's luminance / pi, (H, W); 0 where fewer than two are drawn."""
     seen = seen._replace(irradiance=jnp.where(d != 0, seen.irradiance, 0))
-    parts, prepared = _every_block(_block.variance_of_samples, seen, counts, d, random, settings, rows)
-    return jnp.where(
-        prepared.counts > 1, _assembled(parts, prepared.places, prepared.counts.shape)[..., 0], 0
-    )
+    parts, counts, places = _every_block(_block.variance_of_samples, seen, counts, d, random, settings, rows)
+    return jnp.where(counts > 1, _assembled(parts, places, counts.shape)[..., 0], 0)
 
 
 def lanes() -> int:
@@ -78,9 +70,11 @@ def _is_traced(leaf) -> bool:
 
 
 def _every_block(program, seen, counts, d, random, settings, rows):
+    """Each lane's results; the counts of the pixels that are sampled, and where the results lie."""
     number = lanes()
-    prepared = _prepared(seen, counts, d, random, settings, rows, number)
-
+    traced = any(map(_is_traced, jax.tree.leaves((seen, counts, d, random))))
+    spare = None if traced else _spare.take(jax.eval_shape(_scene, seen, settings).layers, (seen, counts, d))
+    prepared = _prepared(spare, seen, counts, d, random, settings, rows, number)
     wide = jax.config.read("jax_enable_x64")
 
     def lane(first, compiled):
@@ -92,9 +86,13 @@ def _every_block(program, seen, counts, d, random, settings, rows):
         with jax.enable_x64(wide):
             return jax.block_until_ready(lane(first, _lane_alone))
 
-    if number == 1 or any(map(_is_traced, jax.tree.leaves((prepared, seen, d)))):
-        return [lane(first, _lane_within) for first in range(number)], prepared
-    return list(_threads().map(alone, range(number))), prepared
+    if number == 1 or traced:
+        parts = [lane(first, _lane_within) for first in range(number)]
+    else:
+        parts = list(_threads().map(alone, range(number)))
+    if spare is not None:
+        _spare.keep(prepared.scene.layers)
+    return parts, prepared.counts, prepared.places
 
 
 @functools.cache
@@ -102,8 +100,11 @@ def _threads():
     return ThreadPoolExecutor(lanes(), thread_name_prefix="sssfit-lane")
 
 
-@functools.partial(jax.jit, static_argnames=("settings", "rows", "lanes"))
-def _prepared(seen, counts, d, random, settings, rows, lanes):
+@functools.partial(
+    jax.jit, static_argnames=("settings", "rows", "lanes"), donate_argnames="spare", keep_unused=True
+)
+def _prepared(spare, seen, counts, d, random, settings, rows, lanes):
+    """`spare` is memory for the scene, or None."""
     d = _positive(d)
     counts = jnp.where(seen.mask, counts, 0)
     if settings.split is not None:
@@ -112,7 +113,7 @@ def _prepared(seen, counts, d, random, settings, rows, lanes):
     table = None
     if settings.points == "table":
         table = points.table(rows, d, settings, count=random.most, seed=random.seed, frame=random.frame)
-    return Prepared(_scene(seen, settings), table, counts, *_ordered(counts, lanes))
+    return Prepared(_scene(seen, settings), table, counts, *_order.of_segments(counts, lanes))
 
 
 def _lane(program, prepared, first, seen, d, random, settings, lanes):
@@ -154,10 +155,10 @@ _lane_alone = jax.jit(_lane, static_argnames=_STATIC, compiler_options={"xla_cpu
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
-def _image(parts, prepared, seen, d, settings):
+def _image(parts, counts, places, seen, d, settings):
     scatters, d = d != 0, _positive(d)
-    drawn = prepared.counts > 0
-    found = _assembled(parts, prepared.places, drawn.shape)
+    drawn = counts > 0
+    found = _assembled(parts, places, drawn.shape)
     if settings.split is not None:
         disc = points.inner(split.radius(jnp.where(drawn, seen.depth, 1), seen.camera), d, settings)
         own = jnp.stack(disc.share, axis=-1)
@@ -179,44 +180,7 @@ def _positive(d):
     return jnp.where(d != 0, d, 1)
 
 
-def _ordered(counts, lanes):
-    """Segments in blocks of like counts; the blocks' largest, falling; where each segment went."""
-    height, width = counts.shape
-    per_row = -(-width // VERSIONS)
-    largest = jnp.pad(counts, ((0, 0), (0, per_row * VERSIONS - width)))
-    largest = jnp.max(largest.reshape(height, per_row, VERSIONS), axis=-1)
-    none = height * per_row
-    number = jnp.arange(none, dtype=jnp.int32).reshape(height, per_row)
-    # Segments beyond the frame hold no pixel, and nothing is drawn for them.
-    number, sought = _regions(number, none), _regions(largest, 0)
-    # A falling count and a place in one word sort three times as fast as a key and a place.
-    size = number.shape[1]
-    bits = (size - 1).bit_length()
-    most = (1 << (32 - bits)) - 1
-    words = (most - jnp.minimum(sought, most)).astype(jnp.uint32) << bits
-    words = jnp.sort(words | jnp.arange(size, dtype=jnp.uint32), axis=1) & jnp.uint32(size - 1)
-    # Within a block in the order of the tiles, so that what neighbours look up is still in a cache.
-    blocks = jnp.sort(words.astype(jnp.int32).reshape(len(words), -1, BLOCK // VERSIONS), axis=-1)
-    blocks = jnp.take_along_axis(number[:, None], blocks, axis=2).reshape(-1, BLOCK // VERSIONS)
-    blocks = jnp.pad(blocks, ((0, -len(blocks) % lanes), (0, 0)), constant_values=none)
-    in_block = jnp.max(jnp.pad(largest.reshape(-1), (0, 1))[blocks], axis=1)
-    rank = jnp.argsort(-in_block)
-    blocks = blocks[rank]
-    places = (
-        jnp.zeros(none + 1, jnp.int32).at[blocks.reshape(-1)].set(jnp.arange(blocks.size, dtype=jnp.int32))
-    )
-    return blocks, in_block[rank], places[:-1]
-
-
-def _regions(layer, value):
-    """What is known of the segments, region by region and in each tile by tile."""
-    rows, columns = (many * tile for many, tile in zip(_REGION, _TILE, strict=True))
-    unused = tuple((0, -length % step) for length, step in zip(layer.shape, (rows, columns), strict=True))
-    layer = jnp.pad(layer, unused, constant_values=value)
-    layer = layer.reshape(-1, _REGION[0], _TILE[0], layer.shape[1] // columns, _REGION[1], _TILE[1])
-    return layer.transpose(0, 3, 1, 4, 2, 5).reshape(-1, rows * columns)
-
-
+@functools.partial(jax.jit, static_argnames="settings")
 def _scene(seen: Seen, settings: Settings) -> _block.Scene:
     """What a sample finds in a pixel."""
     irradiance, depth, normal, mask, camera = seen

@@ -10,6 +10,7 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -174,20 +175,19 @@ def whole_segments(counts: ArrayLike, mask: ArrayLike | None = None) -> Array:
 
 def _each_profile(of_pass, frame, profiles, counts, settings, seed, start):
     """The result of each profile's pass at its own pixels; `start` is what a pass has at all others."""
-    ids = np.asarray(frame.profile_id)
-    masks = {number: ids == number for number in profiles}
-    known = functools.reduce(np.logical_or, masks.values(), ids == 0)
-    if not known.all():
+    ids = jnp.asarray(frame.profile_id)
+    masks, known_and_there = _where(ids, tuple(jnp.int32(number) for number in profiles))
+    known, *there = np.asarray(known_and_there)
+    if not known:
+        unknown = np.setdiff1d(ids, [0, *profiles])
         raise ValueError(
-            f"profiles must name every id of the frame: {int(ids[~known][0])} is missing, "
+            f"profiles must name every id of the frame: {unknown[0]} is missing, "
             f"there are {', '.join(map(str, sorted(profiles)))}"
         )
     most = int(np.max(np.asarray(counts), initial=0))
     result = None
-    for number, mask in masks.items():
-        d = profiles[number]
-        if number != 0 and d is not None and mask.any():
-            mask = jnp.asarray(mask)
+    for (number, d), mask, is_there in zip(profiles.items(), masks, there, strict=True):
+        if number != 0 and d is not None and is_there:
             found = _run(
                 of_pass, frame.irradiance, frame.depth, frame.camera, d, counts, mask, frame.normal,
                 settings, most, seed, 0,
@@ -195,6 +195,14 @@ def _each_profile(of_pass, frame, profiles, counts, settings, seed, start):
             mask = mask.reshape(mask.shape + (1,) * (found.ndim - 2))
             result = found if result is None else jnp.where(mask, found, result)
     return start if result is None else result
+
+
+@jax.jit
+def _where(ids, numbers):
+    """The pixels of each profile; whether those are all pixels, and whether each has any."""
+    masks = [ids == number for number in numbers]
+    known = functools.reduce(jnp.logical_or, masks, ids == 0)
+    return masks, jnp.stack([jnp.all(known), *map(jnp.any, masks)])
 
 
 def _run(of_pass, irradiance, depth, camera, d, counts, mask, normal, settings, most, seed, frame):

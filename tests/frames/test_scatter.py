@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sssfit.frames import _pass, exact, points, scatter
+from sssfit.frames import _order, exact, points, scatter
 from sssfit.frames.camera import orthographic, perspective
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
@@ -188,7 +188,7 @@ def test_blocks_and_lanes_change_nothing(monkeypatch):
     found = run(seed=5)
     for cores, block in ((1, 8192), (3, 512), (8, 4096)):
         monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
-        monkeypatch.setattr(_pass, "BLOCK", block)
+        monkeypatch.setattr(_order, "BLOCK", block)
         np.testing.assert_array_equal(run(seed=5), found)
         jax.clear_caches()
 
