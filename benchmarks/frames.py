@@ -124,6 +124,7 @@ def ids_report(scene: Scene, options: argparse.Namespace) -> tuple[dict[str, np.
     lines.append("|:--|--:|--:|--:|")
     for distance in problems.DISTANCES:
         problem = problems.on_device(problems.problem(scene, "table", distance, options.samples))
+        problem = problems.of_one_id(problem)
         programs = {
             "mask": lambda problem=problem: problems.ours(problem),
             "ids": lambda problem=problem: problems.by_ids(problem),

@@ -118,11 +118,17 @@ def ours(problem: Problem, counts: Any = None) -> jax.Array:
 
 
 def by_ids(problem: Problem) -> jax.Array:
-    """The same where all pixels of the mask have id 1 and the others none: a pass for each profile."""
+    """The same by `every_profile`, a pass for each profile of the frame."""
     scene = problem.scene
-    frame = scene.frame._replace(profile_id=jnp.asarray(problem.mask).astype(jnp.int32))
-    found = every_profile(frame, {1: scene.d}, counts=problem.samples, settings=problem.settings)
+    profiles = {number: scene.d for number in scene.ids}
+    found = every_profile(scene.frame, profiles, counts=problem.samples, settings=problem.settings)
     return found.block_until_ready()
+
+
+def of_one_id(problem: Problem) -> Problem:
+    """The problem on a frame whose only profile, id 1, is where the mask is."""
+    frame = problem.scene.frame._replace(profile_id=jnp.asarray(problem.mask).astype(jnp.int32))
+    return problem._replace(scene=problem.scene._replace(frame=frame, ids=(1,)))
 
 
 def on_device(problem: Problem) -> Problem:
