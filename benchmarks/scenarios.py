@@ -21,7 +21,8 @@ import page
 import scenarios_rivals as rivals
 from scenarios_rivals import Bounds, Controller, Outcome, Scene
 
-from sssfit.scenarios import circle, driver, light, line, policies
+from sssfit.estimators import policies
+from sssfit.scenarios import circle, driver, light, line
 
 OURS, NUMPY, NUMBA = "sssfit", "NumPy, one core", ("Numba, one core", "Numba, all cores")
 PARTS = ("circle", "line")

@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 import interleaved
 import page
 
+from sssfit.estimators import policies
 from sssfit.files.arrays import csv_bytes
 from sssfit.scenarios import (
     batch_mean,
@@ -31,7 +32,6 @@ from sssfit.scenarios import (
     line,
     measure,
     plot,
-    policies,
     tune,
     writing,
 )
@@ -89,7 +89,7 @@ def columns_of(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
 # --- the circle
 
 
-def circle_runs() -> Iterator[tuple[str, driver.Policy, driver.Start]]:
+def circle_runs() -> Iterator[tuple[str, policies.Policy, driver.Start]]:
     target = {"target_variance": CIRCLE.variance}
     for kappa in (0.0, 0.2, 1.0):
         for start in ("cold", "disocclusion"):
@@ -210,7 +210,7 @@ def regret_worlds() -> dict[str, tuple[driver.World, Target]]:
     return worlds | {"sweep": (sweep(), LINE)}
 
 
-def regret_policies(target: Target) -> dict[str, driver.Policy]:
+def regret_policies(target: Target) -> dict[str, policies.Policy]:
     variance = {"target_variance": target.variance}
     names = ("fixed", "unreal", "as", "ocv", "ccv", "in_frame")
     named = {name: policies.named(name, spp=24, **variance) for name in names}
@@ -385,8 +385,8 @@ def study_under(seeds: int = 24) -> None:
     )
 
 
-def under_policies() -> dict[str, driver.Policy]:
-    made: dict[str, driver.Policy] = {"as": policies.named("as")}
+def under_policies() -> dict[str, policies.Policy]:
+    made: dict[str, policies.Policy] = {"as": policies.named("as")}
     online = policies.named("ocv")
     for offset in (0.0, 0.5, 1.0, 2.0, 8.0):
         made[f"ocv, a_0 = {offset:g}"] = eqx.tree_at(lambda p: p.config.bound_offset, online, offset)

@@ -110,7 +110,8 @@ def add_command(commands) -> None:
 
 
 def _add_controller(scenario, controller: str, target_variance: float, start: str, *, frames: int) -> None:
-    from sssfit.scenarios import driver, light, policies
+    from sssfit.estimators import policies
+    from sssfit.scenarios import driver, light
 
     def number(name: str, default, text: str, kind=float) -> None:
         scenario.add_argument(name, type=kind, default=default, help=f"{text} (default: %(default)s)")
@@ -234,7 +235,8 @@ def run_batch_mean(options: argparse.Namespace) -> int:
 
 def _world_options(options: argparse.Namespace):
     """Intensities, controller and target that the options name."""
-    from sssfit.scenarios import light, policies
+    from sssfit.estimators import policies
+    from sssfit.scenarios import light
     from sssfit.scenarios.measure import Target
 
     varied = {name: getattr(options, name) for name in ("frequency", "depth")}

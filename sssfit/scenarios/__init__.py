@@ -6,5 +6,4 @@ from sssfit.scenarios import driver as driver
 from sssfit.scenarios import light as light
 from sssfit.scenarios import line as line
 from sssfit.scenarios import measure as measure
-from sssfit.scenarios import policies as policies
 from sssfit.scenarios import tune as tune

@@ -1,8 +1,8 @@
 """From frame to frame: count, sample, learn; for one pixel or a line of them, one seed or thousands.
 
 A *world* knows its samples' values and its exact answers (`circle`, `line`); a *policy* decides how many
-samples are drawn and learns from them (`policies`). `step` does one frame. `run` does all frames of many
-seeds by one compiled scan, `chunks` a part of the seeds at a time so that memory stays bounded.
+samples are drawn and learns from them (`estimators.policies`). `step` does one frame. `run` does all frames
+of many seeds by one compiled scan, `chunks` a part of the seeds at a time so that memory stays bounded.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from sssfit.estimators.policies import Known, Policy, Sampled
 from sssfit.sampling import sequences
 
 Start = Literal["cold", "disocclusion"]
@@ -48,65 +49,6 @@ class World(Protocol):
 
     def values(self, places: Array, frame: Array) -> Array:
         """Values of samples there, of the places' shape."""
-        ...
-
-
-class Known(NamedTuple):
-    """What is known of a frame before it is sampled, arrays of the pixels' shape.
-
-    Attributes:
-        control, surround: as in `World`.
-        sample_variance: the exact one, for an oracle alone.
-        missing: whether the pixels have no history.
-    """
-
-    control: Array
-    surround: Array
-    sample_variance: Array
-    missing: Array
-
-
-class Sampled(NamedTuple):
-    """What a frame's samples brought, arrays of the pixels' shape.
-
-    Attributes:
-        count: how many there were.
-        mean: their mean, the frame's result.
-        square_deviation: sum of their squared deviations from it.
-    """
-
-    count: Array
-    mean: Array
-    square_deviation: Array
-
-
-class Learned(NamedTuple):
-    """What a policy remembers after a frame, for the record.
-
-    Attributes:
-        mean: its moving mean.
-        variance: the variance of a frame's result that it believes in.
-        coefficient: of the control.
-    """
-
-    mean: Array
-    variance: Array
-    coefficient: Array
-
-
-class Policy(Protocol):
-    """How many samples, and what is learned from them."""
-
-    def init(self, like: Array) -> Any:
-        """The memory before the first frame."""
-        ...
-
-    def count(self, state: Any, known: Known) -> Array:
-        """How many samples each pixel draws, int32."""
-        ...
-
-    def learn(self, state: Any, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """The memory after a frame."""
         ...
 
 
@@ -227,7 +169,8 @@ def step(
         The memory after the frame, and a `Record` of the pixels' shape.
 
     Example:
-        >>> from sssfit.scenarios import circle, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle
         >>> world, policy = circle.uniform(2), policies.named("fixed", spp=16)
         >>> state, record = step(jax.random.key(0), world, policy, (), 0, most=16)
         >>> int(record.count)
@@ -263,7 +206,8 @@ def trajectory(
         `Record` of shape (frames, *pixels).
 
     Example:
-        >>> from sssfit.scenarios import circle, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle
         >>> world, policy = circle.uniform(20), policies.named("as")
         >>> jax.jit(lambda key: trajectory(key, world, policy, most=64))(jax.random.key(0)).count.shape
         (20,)
@@ -306,7 +250,8 @@ def chunks(
         ValueError: seeds, chunk or most is out of its domain, start or sequence is unknown.
 
     Example:
-        >>> from sssfit.scenarios import circle, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle
         >>> parts = chunks(jax.random.key(0), circle.uniform(20), policies.named("as"), seeds=5, chunk=3)
         >>> [len(part.count) for part in parts]
         [3, 2]
@@ -343,7 +288,7 @@ def largest_count(policy: Policy) -> int:
         ValueError: it has none.
 
     Example:
-        >>> from sssfit.scenarios import policies
+        >>> from sssfit.estimators import policies
         >>> largest_count(policies.named("as", max_spp=128))
         128
     """
@@ -366,7 +311,8 @@ def run(key: Array, world: World, policy: Policy, *, seeds: int, **options: Any)
         ValueError: as `chunks`.
 
     Example:
-        >>> from sssfit.scenarios import circle, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle
         >>> record = run(jax.random.key(0), circle.uniform(20), policies.named("as"), seeds=3)
         >>> record.count.shape
         (3, 20)

@@ -107,7 +107,8 @@ def collect(
 
     Example:
         >>> import jax
-        >>> from sssfit.scenarios import circle, driver, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle, driver
         >>> world, fixed = circle.uniform(3), policies.named("fixed", spp=16)
         >>> records = driver.chunks(jax.random.key(0), world, fixed, seeds=4)
         >>> found = collect(records, world, Target(0.01), first=0)
@@ -226,7 +227,8 @@ def summarize(found: Statistics) -> Summary:
 
     Example:
         >>> import jax
-        >>> from sssfit.scenarios import circle, driver, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle, driver
         >>> world, policy = circle.uniform(60), policies.named("oracle", target_variance=0.0064)
         >>> found = collect(driver.chunks(jax.random.key(0), world, policy, seeds=2), world, Target(0.0064))
         >>> round(summarize(found).oracle_count, 2)
@@ -271,7 +273,8 @@ def regret(found: Statistics, *, level: Level = "mean") -> float:
 
     Example:
         >>> import jax
-        >>> from sssfit.scenarios import circle, driver, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle, driver
         >>> world, fixed = circle.uniform(60), policies.named("fixed", spp=16)
         >>> found = collect(driver.chunks(jax.random.key(0), world, fixed, seeds=2), world, Target(0.0064))
         >>> round(regret(found), 6)

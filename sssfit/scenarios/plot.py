@@ -26,7 +26,8 @@ def circle(found: Statistics, *, title: str, one: np.ndarray) -> bytes:
 
     Example:
         >>> import jax
-        >>> from sssfit.scenarios import circle as scenario, driver, measure, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle as scenario, driver, measure
         >>> world, fixed = scenario.uniform(60), policies.named("fixed")
         >>> record = driver.run(jax.random.key(0), world, fixed, seeds=2)
         >>> found = measure.collect([record], world, measure.Target(0.0064))
@@ -76,7 +77,8 @@ def line(found: Statistics, *, title: str, x: np.ndarray, light: np.ndarray, int
 
     Example:
         >>> import jax
-        >>> from sssfit.scenarios import driver, line as scenario, measure, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import driver, line as scenario, measure
         >>> x = scenario.centres(16, 4.0)
         >>> world = scenario.world(scenario.step(x)[None].repeat(3, 0), length=4.0, d=0.1)
         >>> records = driver.chunks(jax.random.key(0), world, policies.named("as"), seeds=2)

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
+from sssfit.estimators import policies
 from sssfit.reproduction import Row
-from sssfit.scenarios import batch_mean, circle, driver, light, line, measure, policies
+from sssfit.scenarios import batch_mean, circle, driver, light, line, measure
 
 #: Repetitions of the circle, of the line, and of Table B.1.
 _CIRCLE_SEEDS, _LINE_SEEDS, _TABLE_SEEDS = 2000, 8, 1000

@@ -18,8 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from sssfit.scenarios import driver, measure, policies
-from sssfit.scenarios.driver import Policy, World
+from sssfit.estimators import policies
+from sssfit.estimators.policies import Policy
+from sssfit.scenarios import driver, measure
+from sssfit.scenarios.driver import World
 from sssfit.scenarios.measure import Target
 
 #: Ranges to draw constants from: log-uniform where a bound is a ratio, else uniform.

@@ -7,12 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from sssfit.estimators.policies import Policy
 from sssfit.files.arrays import csv_bytes, npz_bytes
 from sssfit.files.atomic import interrupt_deferred
 from sssfit.files.json_text import json_text
 from sssfit.files.output import output_directory
 from sssfit.scenarios import batch_mean, driver, measure, plot
-from sssfit.scenarios.driver import Policy, Record, World
+from sssfit.scenarios.driver import Record, World
 from sssfit.scenarios.measure import Statistics, Target
 
 Progress = Callable[[int, int], None]
@@ -50,7 +51,8 @@ def simulate(
         ValueError: as `driver.chunks` and `measure.collect`.
 
     Example:
-        >>> from sssfit.scenarios import circle, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle
         >>> found, record = simulate(circle.uniform(60), policies.named("as"), Target(1e-4), seeds=3)
         >>> found.seeds, record.count.shape
         (3, (3, 60))
@@ -105,7 +107,8 @@ def write_circle(
 
     Example:
         >>> import tempfile
-        >>> from sssfit.scenarios import circle, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import circle
         >>> found, record = simulate(circle.uniform(60), policies.named("as"), Target(1e-4), seeds=3)
         >>> with tempfile.TemporaryDirectory() as out:
         ...     summary = write_circle(out, found, record, {"controller": "as"})
@@ -170,7 +173,8 @@ def write_line(
 
     Example:
         >>> import tempfile
-        >>> from sssfit.scenarios import line, policies
+        >>> from sssfit.estimators import policies
+        >>> from sssfit.scenarios import line
         >>> x = line.centres(16, 4.0)
         >>> world = line.world(line.ramp(x)[None].repeat(60, 0), length=4.0, d=0.05)
         >>> found, record = simulate(world, policies.named("as"), Target(1e-4), seeds=2, first=0)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sssfit.cli.main import main
-from sssfit.scenarios import driver, policies
+from sssfit.estimators import policies
+from sssfit.scenarios import driver
 
 # Each simulation is a program to compile, and many seeds.
 pytestmark = pytest.mark.slow

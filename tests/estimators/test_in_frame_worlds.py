@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sssfit.estimators import in_frame
-from sssfit.scenarios import circle, driver, light, line, policies
+from sssfit.estimators import in_frame, policies
+from sssfit.scenarios import circle, driver, light, line
 
 # Each simulation is a program to compile, and many seeds.
 pytestmark = pytest.mark.slow

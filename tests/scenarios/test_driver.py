@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sssfit.estimators import control_variate, sample_count
-from sssfit.scenarios import circle, driver, line, policies
+from sssfit.estimators import control_variate, policies, sample_count
+from sssfit.scenarios import circle, driver, line
 
 MOST = 64
 sequences = pytest.mark.parametrize("sequence", driver.SEQUENCES)
@@ -358,7 +358,7 @@ class Unbounded(eqx.Module):
         return jnp.full(known.missing.shape, 5, jnp.int32)
 
     def learn(self, state, known, sampled):
-        return state, driver.Learned(sampled.mean, sampled.mean, sampled.mean)
+        return state, policies.Learned(sampled.mean, sampled.mean, sampled.mean)
 
 
 def test_the_largest_count_has_to_be_known():

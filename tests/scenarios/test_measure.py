@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from sssfit.scenarios import circle, driver, measure, policies
+from sssfit.estimators import policies
+from sssfit.scenarios import circle, driver, measure
 from sssfit.scenarios.driver import Record
 from sssfit.scenarios.measure import Target
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import median_filter
 
-from sssfit.estimators import control_variate, in_frame, sample_count
-from sssfit.scenarios import circle, driver, light, line, policies
+from sssfit.estimators import control_variate, in_frame, policies, sample_count
+from sssfit.scenarios import circle, driver, light, line
 
 # Each simulation is a program to compile, and many seeds.
 pytestmark = pytest.mark.slow
@@ -218,7 +218,7 @@ def test_a_fixed_count(world):
 def test_the_control_is_the_light_asked_for(world, name, which):
     policy = named(name, light=which)
     known = known_before(world, 1, missing=jnp.array(True))
-    sampled = driver.Sampled(jnp.full(6, 8), jnp.linspace(0.5, 1.0, 6), jnp.full(6, 0.3))
+    sampled = policies.Sampled(jnp.full(6, 8), jnp.linspace(0.5, 1.0, 6), jnp.full(6, 0.3))
     state, learned = policy.learn(policy.init(jnp.zeros(6)), known, sampled)
     control = np.asarray(getattr(world, which)[1], float)
     if name == "in_frame":
@@ -237,7 +237,7 @@ def test_what_in_frame_says_it_expects(world):
     policy = named("in_frame", alpha=0.1)
     known = known_before(world, 1, missing=jnp.array(False))
     history = in_frame.History(*(jnp.full(6, v) for v in (20.0, 100.0, 90.0, 0.0)), gain=None)
-    sampled = driver.Sampled(jnp.array([0, 1, 8, 9, 20, 64]), jnp.zeros(6), jnp.ones(6))
+    sampled = policies.Sampled(jnp.array([0, 1, 8, 9, 20, 64]), jnp.zeros(6), jnp.ones(6))
     _, learned = policy.learn(history, known, sampled)
     expected = 0.2 * (np.asarray(world.surround[1], float) ** 2 + 1e-4) / [1, 1, 8, 9, 20, 64]
     assert np.asarray(learned.variance) == pytest.approx(expected, rel=1e-5)
@@ -266,7 +266,7 @@ def test_a_median_changes_only_the_counts(world):
         known = known_before(world, frame, missing=jnp.array(frame == 0))
         asked = np.asarray(inner.count(state, known))
         assert np.array_equal(record.count[1, frame], median_filter(asked, size=3, mode="nearest"))
-        sampled = driver.Sampled(*(jnp.asarray(v[1, frame]) for v in record[:3]))
+        sampled = policies.Sampled(*(jnp.asarray(v[1, frame]) for v in record[:3]))
         state, _ = inner.learn(state, known, sampled)
 
 
@@ -298,7 +298,7 @@ def test_what_the_engine_ships_ignores_the_mean_count():
     state = control_variate.History(
         sample_count.History(jnp.full(3, 40.0), jnp.zeros(3), jnp.array([1e-4, 3.04e-3, 1.0])), None
     )
-    known = driver.Known(*(jnp.zeros(3),) * 3, missing=jnp.zeros(3, bool))
+    known = policies.Known(*(jnp.zeros(3),) * 3, missing=jnp.zeros(3, bool))
     assert policy.count(state, known).tolist() == [8, 30, 64]
     assert policy.count(state, known._replace(missing=jnp.ones(3, bool))).tolist() == [8, 8, 8]
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sssfit.scenarios import circle, driver, line, measure, policies
+from sssfit.estimators import policies
+from sssfit.scenarios import circle, driver, line, measure
 from sssfit.scenarios.driver import Record
 from sssfit.scenarios.measure import Target
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sssfit.estimators import policies
 from sssfit.files.errors import FileError
-from sssfit.scenarios import circle, driver, line, measure, policies, writing
+from sssfit.scenarios import circle, driver, line, measure, writing
 from sssfit.scenarios.measure import Target
 
 # Each simulation is a program to compile.

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from sssfit.scenarios import circle, driver, light, policies, tune
+from sssfit.estimators import policies
+from sssfit.scenarios import circle, driver, light, tune
 from sssfit.scenarios.measure import Target
 
 # Each simulation is a program to compile, and many seeds.

@@ -1,6 +1,6 @@
 """Who decides the sample counts: the papers' controllers, a fixed count, the oracle, and `in_frame`'s.
 
-Each is a `driver.Policy`. `named` makes them by the names of the command line.
+Each is a `Policy`. `named` makes them by the names of the command line.
 """
 
 from typing import Any, Literal, get_args
@@ -12,7 +12,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from sssfit.estimators import control_variate, in_frame, sample_count
-from sssfit.scenarios.driver import Known, Learned, Sampled
+from sssfit.estimators._policy import Known as Known
+from sssfit.estimators._policy import Learned as Learned
+from sssfit.estimators._policy import Policy as Policy
+from sssfit.estimators._policy import Sampled as Sampled
 
 Light = Literal["control", "surround"]
 LIGHTS: tuple[Light, ...] = get_args(Light)
@@ -35,15 +38,15 @@ class Adaptive(eqx.Module):
         return self.config.controller.max_spp
 
     def init(self, like: Array) -> control_variate.History:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return control_variate.init(like, self.config)
 
     def count(self, state: control_variate.History, known: Known) -> Array:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return sample_count.next_count(state.count, self.config.controller, missing=known.missing)
 
     def learn(self, state: control_variate.History, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         control = getattr(known, self.light)
         frame = control_variate.Observation(
             sampled.mean, control, control, count=sampled.count, missing=known.missing
@@ -69,16 +72,16 @@ class InFrame(eqx.Module):
         return self.controller.max_spp
 
     def init(self, like: Array) -> in_frame.History:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return in_frame.init(like, self.controller)
 
     def count(self, state: in_frame.History, known: Known) -> Array:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         light = getattr(known, self.light)
         return in_frame.next_count(state, light, self.controller, missing=known.missing)
 
     def learn(self, state: in_frame.History, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         light = getattr(known, self.light)
         expected = in_frame.sample_variance(state, light, self.controller) * in_frame.sequence_gain(state)
         state = in_frame.update(state, *_of(sampled), light, self.controller, missing=known.missing)
@@ -108,15 +111,15 @@ class Fixed(eqx.Module):
         return self.spp
 
     def init(self, like: Array) -> tuple[()]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return ()
 
     def count(self, state: tuple[()], known: Known) -> Array:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return jnp.broadcast_to(jnp.asarray(self.spp, jnp.int32), known.missing.shape)
 
     def learn(self, state: tuple[()], known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return state, _exact(known, sampled)
 
 
@@ -135,16 +138,16 @@ class Oracle(eqx.Module):
     rounding: sample_count.Rounding = eqx.field(default="nearest", static=True)
 
     def init(self, like: Array) -> tuple[()]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return ()
 
     def count(self, state: tuple[()], known: Known) -> Array:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         ideal = known.sample_variance / self.target_variance
         return sample_count.round_count(jnp.clip(ideal, self.min_spp, self.max_spp), self.rounding)
 
     def learn(self, state: tuple[()], known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return state, _exact(known, sampled)
 
 
@@ -163,18 +166,18 @@ class MedianFiltered(eqx.Module):
         return self.policy.max_spp
 
     def init(self, like: Array) -> Any:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return self.policy.init(like)
 
     def count(self, state: Any, known: Known) -> Array:
-        """See `driver.Policy`; the ends are repeated beyond the ends."""
+        """See `Policy`; the ends are repeated beyond the ends."""
         count = self.policy.count(state, known)
         before = jnp.concatenate([count[..., :1], count[..., :-1]], axis=-1)
         after = jnp.concatenate([count[..., 1:], count[..., -1:]], axis=-1)
         return jnp.median(jnp.stack([before, count, after]), axis=0).astype(count.dtype)
 
     def learn(self, state: Any, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """See `driver.Policy`."""
+        """See `Policy`."""
         return self.policy.learn(state, known, sampled)
 
 
@@ -205,7 +208,7 @@ def named(
         gain_alpha: of "in_frame", for points of low discrepancy.
 
     Returns:
-        A `driver.Policy`.
+        A `Policy`.
 
     Raises:
         ValueError: the name is unknown or a constant out of its domain.
