@@ -16,7 +16,7 @@ from sssfit.frames.points import VERSIONS, Samples, density
 from sssfit.sampling import disk, hashes, prefilter
 
 #: Shares of red, green and blue in the luminance, Rec. 709.
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
+LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 class Pixels(NamedTuple):
@@ -110,51 +110,73 @@ def _axes(settings, camera, words, middle, own, normal, keep):
 
 def mean_of_samples(scene, pixels, most, draw, d, camera, settings):
     """Mean of a block's samples, (VERSIONS, segments, C)."""
-    channels = len(d)
-    sums = channels * (2 if settings.estimator == "ratio" else 1)
-
-    def add(total, values):
-        return [a + b for a, b in zip(total, values, strict=True)]
-
-    totals = _accumulated(scene, pixels, most, draw, d, camera, settings, sums, add)
-    if settings.estimator == "ratio":
-        # Where nothing was hit, all that is known is the pixel itself.
-        column, row = (place.astype(jnp.int32) for place in (pixels.column, pixels.row))
-        last = scene.width * scene.height
-        at = jnp.clip(row * scene.width + column, 0, last)
-        own = _pairs.at(scene.layers, at)
-        totals = [
-            jnp.where(b > 0, a / jnp.where(b > 0, b, 1), own[c])
-            for c, (a, b) in enumerate(zip(totals[:channels], totals[channels:], strict=True))
-        ]
-    else:
-        totals = [total / jnp.maximum(pixels.count, 1) for total in totals]
-    return jnp.stack(totals, axis=-1)
+    values = _values(len(d), settings)
+    totals = _accumulated(scene, pixels, most, draw, d, camera, settings, values, _sums)
+    return jnp.stack(_means(scene, pixels, totals, settings), axis=-1)
 
 
-def variance_of_samples(scene, pixels, most, draw, d, camera, settings):
-    """Variance of what one sample adds to the luminance / pi of the estimate, (VERSIONS, segments, 1)."""
-    channels = len(d)
-    values = channels * (2 if settings.estimator == "ratio" else 1)
-    pairs = [(i, j) for i in range(values) for j in range(i + 1)]
+def moments_of_samples(scene, pixels, most, draw, d, camera, settings):
+    """The same, and the variance of what one sample adds to the luminance / pi, (..., C + 1)."""
+    values = _values(len(d), settings)
+    slope = [share / jnp.pi for share in LUMINANCE[: len(d)]]
+    is_ratio = settings.estimator == "ratio"
+    pairs = [(i, j) for i in range(values) for j in range(i + 1)] if is_ratio else []
 
     def add(total, found):
-        return [a + b for a, b in zip(total, [*found, *(found[i] * found[j] for i, j in pairs)], strict=True)]
+        if is_ratio:
+            return _sums(total, [*found, *(found[i] * found[j] for i, j in pairs)])
+        return _sums(total, [*found, jnp.square(_weighed(slope, found))])
 
-    totals = _accumulated(scene, pixels, most, draw, d, camera, settings, values + len(pairs), add)
+    number = values + max(len(pairs), 1)
+    totals = _accumulated(scene, pixels, most, draw, d, camera, settings, number, add)
     count = jnp.maximum(pixels.count, 1).astype(jnp.float32)
-    mean = [total / count for total in totals[:values]]
-    slope = [jnp.full_like(count, share / jnp.pi) for share in _LUMINANCE[:channels]]
-    if settings.estimator == "ratio":
-        # The delta method: how the ratio of two means changes with each of them.
-        below = [1 / jnp.where(weight > 0, weight, 1) for weight in mean[channels:]]
-        slope = [a * b for a, b in zip(slope, below, strict=True)]
-        slope += [-a * lit * b for a, lit, b in zip(slope, mean[:channels], below, strict=True)]
+    mean, products = [total / count for total in totals[:values]], totals[values:]
+    if is_ratio:
+        variance = _ratio_variance(count, mean, products, pairs, slope)
+    else:
+        variance = (products[0] - count * jnp.square(_weighed(slope, mean))) / jnp.maximum(count - 1, 1)
+    image = _means(scene, pixels, totals[:values], settings)
+    return jnp.stack([*image, jnp.maximum(variance, 0)], axis=-1)
+
+
+def _values(channels, settings):
+    """How many sums make an image: for the ratio one more for each channel."""
+    return channels * (2 if settings.estimator == "ratio" else 1)
+
+
+def _sums(total, values):
+    return [a + b for a, b in zip(total, values, strict=True)]
+
+
+def _means(scene, pixels, totals, settings):
+    """The image's channels."""
+    if settings.estimator == "unbiased":
+        return [total / jnp.maximum(pixels.count, 1) for total in totals]
+    # Where nothing was hit, all that is known is the pixel itself.
+    column, row = (place.astype(jnp.int32) for place in (pixels.column, pixels.row))
+    at = jnp.clip(row * scene.width + column, 0, scene.width * scene.height)
+    own, channels = _pairs.at(scene.layers, at), len(totals) // 2
+    return [
+        jnp.where(b > 0, a / jnp.where(b > 0, b, 1), own[c])
+        for c, (a, b) in enumerate(zip(totals[:channels], totals[channels:], strict=True))
+    ]
+
+
+def _ratio_variance(count, mean, products, pairs, slope):
+    """By the delta method: how the ratio of two means changes with each of them."""
+    channels = len(slope)
+    below = [1 / jnp.where(weight > 0, weight, 1) for weight in mean[channels:]]
+    slopes = [a * b for a, b in zip(slope, below, strict=True)]
+    slopes += [-a * lit * b for a, lit, b in zip(slopes, mean[:channels], below, strict=True)]
     variance = 0.0
-    for (i, j), product in zip(pairs, totals[values:], strict=True):
+    for (i, j), product in zip(pairs, products, strict=True):
         covariance = (product - count * mean[i] * mean[j]) / jnp.maximum(count - 1, 1)
-        variance += slope[i] * slope[j] * covariance * (1 if i == j else 2)
-    return jnp.maximum(variance, 0)[..., None]
+        variance += slopes[i] * slopes[j] * covariance * (1 if i == j else 2)
+    return variance
+
+
+def _weighed(shares, values):
+    return sum(share * value for share, value in zip(shares, values, strict=True))
 
 
 def from_table(table):

@@ -53,11 +53,16 @@ def mean(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings
     return _image(parts, counts, places, seen, d, settings)
 
 
-def variance(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int) -> Array:
-    """Variance of one sample's luminance / pi, (H, W); 0 where fewer than two are drawn."""
-    seen = seen._replace(irradiance=jnp.where(d != 0, seen.irradiance, 0))
-    parts, counts, places = _every_block(_block.variance_of_samples, seen, counts, d, random, settings, rows)
-    return jnp.where(counts > 1, _assembled(parts, places, counts.shape)[..., 0], 0)
+def moments(
+    seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int
+) -> tuple[Array, Array]:
+    """The scattered frame, and the variance of one sample's luminance / pi, (H, W).
+
+    The variance is 0 where fewer than two are drawn.
+    """
+    dark = seen._replace(irradiance=jnp.where(d != 0, seen.irradiance, 0))
+    parts, counts, places = _every_block(_block.moments_of_samples, dark, counts, d, random, settings, rows)
+    return _image_and_variance(parts, counts, places, seen, d, settings)
 
 
 def lanes() -> int:
@@ -156,9 +161,20 @@ _lane_alone = jax.jit(_lane, static_argnames=_STATIC, compiler_options={"xla_cpu
 
 @functools.partial(jax.jit, static_argnames=("settings",))
 def _image(parts, counts, places, seen, d, settings):
+    return _composed(_assembled(parts, places, counts.shape), counts, seen, d, settings)
+
+
+@functools.partial(jax.jit, static_argnames=("settings",))
+def _image_and_variance(parts, counts, places, seen, d, settings):
+    found = _assembled(parts, places, counts.shape)
+    image = _composed(found[..., :-1], counts, seen, d, settings)
+    return image, jnp.where(counts > 1, found[..., -1], 0)
+
+
+def _composed(found, counts, seen, d, settings):
+    """The samples' means, with each pixel's own share and what is not sampled."""
     scatters, d = d != 0, _positive(d)
     drawn = counts > 0
-    found = _assembled(parts, places, drawn.shape)
     if settings.split is not None:
         disc = points.inner(split.radius(jnp.where(drawn, seen.depth, 1), seen.camera), d, settings)
         own = jnp.stack(disc.share, axis=-1)

@@ -77,55 +77,23 @@ def scatter(
     return _run(_pass.mean, irradiance, depth, camera, d, counts, mask, normal, settings, most, seed, frame)
 
 
-def variance_of_samples(
-    frame: Frame,
-    profiles: Mapping[int, Any],
-    *,
-    counts: ArrayLike,
-    settings: Settings = DEFAULT,
-    seed: int = 0,
-) -> Array:
-    """Estimate how much one sample varies at each pixel, from a few of them.
-
-    Args:
-        frame, profiles: as for `every_profile`.
-        counts: samples to estimate from, as for `every_profile`, >= 2 where an estimate is wanted.
-        settings, seed: as for `every_profile`.
-
-    Returns:
-        (H, W) float32: variance of one sample's Rec. 709 luminance of the result / pi, in the irradiance's
-        unit squared, with n - 1 in the denominator; a mean of n independent samples has 1 / n of it. For the
-        ratio that of its linear approximation. 0 where nothing scatters or fewer than two samples are drawn.
-
-    Raises:
-        ValueError: as `every_profile`.
-
-    Source: Xie et al. 2020, Section 3; the delta method for the ratio.
-
-    Example:
-        >>> from sssfit.frames import procedural
-        >>> scene = procedural.frame(width=64, height=36)
-        >>> variance_of_samples(scene, {1: [1.0, 0.5, 0.3], 2: None}, counts=8).shape
-        (36, 64)
-    """
-    start = jnp.zeros(frame.depth.shape, jnp.float32)
-    return _each_profile(_pass.variance, frame, profiles, counts, settings, seed, start)
-
-
 def every_profile(
     frame: Frame,
     profiles: Mapping[int, Any],
     *,
     counts: ArrayLike,
     settings: Settings = DEFAULT,
+    most: int | None = None,
     seed: int = 0,
+    number: int = 0,
 ) -> Array:
     """Scatter a whole frame, a pass for each profile.
 
     Args:
         frame: see `gbuffer.Frame`.
         profiles: shape parameter of each channel, mm, (C,), by profile id; None where nothing scatters.
-        counts, settings, seed: as for `scatter`.
+        counts, settings, most, seed: as for `scatter`.
+        number: of the frame in a sequence; other ones give independent samples.
 
     Returns:
         (H, W, C) float32; the background and profiles of None keep their irradiance.
@@ -143,7 +111,74 @@ def every_profile(
         (36, 64, 3)
     """
     start = jnp.asarray(frame.irradiance, jnp.float32)
-    return _each_profile(_pass.mean, frame, profiles, counts, settings, seed, start)
+    return _each_profile(_pass.mean, frame, profiles, counts, settings, most, seed, number, start)
+
+
+def image_and_variance(
+    frame: Frame,
+    profiles: Mapping[int, Any],
+    *,
+    counts: ArrayLike,
+    settings: Settings = DEFAULT,
+    most: int | None = None,
+    seed: int = 0,
+    number: int = 0,
+) -> tuple[Array, Array]:
+    """The image of `every_profile`, and how much one sample varies at each pixel.
+
+    Args:
+        frame, profiles, counts, settings, most, seed, number: as for `every_profile`.
+
+    Returns:
+        The image, the same to rounding. And (H, W) float32: the variance of one sample's Rec. 709 luminance
+        of the result / pi, in the irradiance's unit squared, with n - 1 in the denominator; a mean of n
+        independent samples has 1 / n of it. For the ratio that of its linear approximation. 0 where nothing
+        scatters or fewer than two samples are drawn.
+
+    Raises:
+        ValueError: as `every_profile`.
+
+    Source: Xie et al. 2020, Section 3; the delta method for the ratio.
+
+    Example:
+        >>> from sssfit.frames import procedural
+        >>> scene = procedural.frame(width=64, height=36)
+        >>> image, variance = image_and_variance(scene, {1: [1.0, 0.5, 0.3], 2: None}, counts=8)
+        >>> variance.shape
+        (36, 64)
+    """
+    start = jnp.asarray(frame.irradiance, jnp.float32), jnp.zeros(frame.depth.shape, jnp.float32)
+    return _each_profile(_pass.moments, frame, profiles, counts, settings, most, seed, number, start)
+
+
+def variance_of_samples(
+    frame: Frame,
+    profiles: Mapping[int, Any],
+    *,
+    counts: ArrayLike,
+    settings: Settings = DEFAULT,
+    seed: int = 0,
+) -> Array:
+    """The variance of `image_and_variance` alone, for a pilot.
+
+    Args:
+        frame, profiles, counts, settings, seed: as there; counts >= 2 where an estimate is wanted.
+
+    Returns:
+        (H, W) float32.
+
+    Raises:
+        ValueError: as `every_profile`.
+
+    Source: as `image_and_variance`.
+
+    Example:
+        >>> from sssfit.frames import procedural
+        >>> scene = procedural.frame(width=64, height=36)
+        >>> variance_of_samples(scene, {1: [1.0, 0.5, 0.3], 2: None}, counts=8).shape
+        (36, 64)
+    """
+    return image_and_variance(frame, profiles, counts=counts, settings=settings, seed=seed)[1]
 
 
 def whole_segments(counts: ArrayLike, mask: ArrayLike | None = None) -> Array:
@@ -173,10 +208,10 @@ def whole_segments(counts: ArrayLike, mask: ArrayLike | None = None) -> Array:
     return jnp.where(own > 0, largest, 0)
 
 
-def _each_profile(of_pass, frame, profiles, counts, settings, seed, start):
+def _each_profile(of_pass, frame, profiles, counts, settings, most, seed, number, start):
     """The result of each profile's pass at its own pixels; `start` is what a pass has at all others."""
     ids = jnp.asarray(frame.profile_id)
-    masks, known_and_there = _where(ids, tuple(jnp.int32(number) for number in profiles))
+    masks, known_and_there = _where(ids, tuple(jnp.int32(profile_id) for profile_id in profiles))
     known, *there = np.asarray(known_and_there)
     if not known:
         unknown = np.setdiff1d(ids, [0, *profiles])
@@ -184,23 +219,28 @@ def _each_profile(of_pass, frame, profiles, counts, settings, seed, start):
             f"profiles must name every id of the frame: {unknown[0]} is missing, "
             f"there are {', '.join(map(str, sorted(profiles)))}"
         )
-    most = int(np.max(np.asarray(counts), initial=0))
+    if most is None:
+        most = int(np.max(np.asarray(counts), initial=0))
     result = None
-    for (number, d), mask, is_there in zip(profiles.items(), masks, there, strict=True):
-        if number != 0 and d is not None and is_there:
+    for (profile_id, d), mask, is_there in zip(profiles.items(), masks, there, strict=True):
+        if profile_id != 0 and d is not None and is_there:
             found = _run(
                 of_pass, frame.irradiance, frame.depth, frame.camera, d, counts, mask, frame.normal,
-                settings, most, seed, 0,
+                settings, most, seed, number,
             )  # fmt: skip
-            mask = mask.reshape(mask.shape + (1,) * (found.ndim - 2))
-            result = found if result is None else jnp.where(mask, found, result)
+            result = found if result is None else jax.tree.map(functools.partial(_at, mask), found, result)
     return start if result is None else result
 
 
+def _at(mask, found, other):
+    """One image at the pixels of a mask, and the other elsewhere."""
+    return jnp.where(mask.reshape(mask.shape + (1,) * (found.ndim - 2)), found, other)
+
+
 @jax.jit
-def _where(ids, numbers):
+def _where(ids, every_id):
     """The pixels of each profile; whether those are all pixels, and whether each has any."""
-    masks = [ids == number for number in numbers]
+    masks = [ids == one for one in every_id]
     known = functools.reduce(jnp.logical_or, masks, ids == 0)
     return masks, jnp.stack([jnp.all(known), *map(jnp.any, masks)])
 

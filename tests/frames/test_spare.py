@@ -47,6 +47,7 @@ def test_a_pass_writes_over_the_scene_of_the_one_before(kept):
     assert not np.array_equal(again, one)
 
 
+@pytest.mark.slow
 def test_at_most_one_scene_is_kept(kept):
     cases: list[tuple[np.ndarray, Distance]] = [
         (frame(0), "plane"), (frame(0, 9, 40), "plane"), (frame(0), "surface"),
@@ -84,6 +85,7 @@ def test_nothing_is_kept_within_a_program_or_beyond_the_largest(kept, monkeypatc
     assert not kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 2, 3])
 def test_each_segment_is_sampled_once_with_others_of_like_counts(lanes):
     rng = np.random.default_rng(lanes)
