@@ -18,7 +18,17 @@ FORMULAS = (
     *(f"sampling/{name}.py" for name in ("disk", "hashes", "inverse_cdf", "prefilter", "sequences")),
     *(
         f"frames/{name}.py"
-        for name in ("adaptive", "compose", "exact", "pixel_kernel", "points", "scatter", "surface")
+        for name in (
+            "adaptive",
+            "compose",
+            "exact",
+            "pixel_kernel",
+            "points",
+            "scatter",
+            "surface",
+            "taa",
+            "temporal",
+        )
     ),
     *(
         f"estimators/{name}.py"
