@@ -138,10 +138,10 @@ def table(rows: Sequence[dict[str, str]], words: int = 1) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in [*head, *(list(r.values()) for r in rows)])
 
 
-def write(name: str, text: str) -> None:
+def write(name: str, text: str, to: str = "frames.md") -> None:
     """Print a result, and put it in its place on the page."""
     print(f"\n{name}\n{text}", flush=True)
-    page.replace(DOCS / "frames.md", name, text)
+    page.replace(DOCS / to, name, text)
 
 
 def save(figure, name: str) -> None:

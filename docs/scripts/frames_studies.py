@@ -3,6 +3,8 @@
 Run from the repository root, all studies in some twenty minutes on two cores, or some of them:
 
     python docs/scripts/frames_studies.py [beam] [importance] [methods] [spp] [prefilter] [split]
+
+and of docs/sequences.md, in some ten minutes more: [flash] [delivered]
 """
 
 import sys
@@ -11,8 +13,9 @@ import time
 import frames_accuracy
 import frames_data
 import frames_sampling
+import frames_sequences
 
-STUDIES = frames_accuracy.STUDIES | frames_sampling.STUDIES
+STUDIES = frames_accuracy.STUDIES | frames_sampling.STUDIES | frames_sequences.STUDIES
 
 
 def main() -> None:

@@ -16,5 +16,11 @@ from sssfit.frames import render as render
 from sssfit.frames import render_output as render_output
 from sssfit.frames import scatter as scatter
 from sssfit.frames import scene_profiles as scene_profiles
+from sssfit.frames import sequence as sequence
+from sssfit.frames import sequence_files as sequence_files
+from sssfit.frames import sequence_ledger as sequence_ledger
+from sssfit.frames import sequence_output as sequence_output
 from sssfit.frames import split as split
 from sssfit.frames import surface as surface
+from sssfit.frames import taa as taa
+from sssfit.frames import temporal as temporal

@@ -1,0 +1,299 @@
+"""Frame after frame: sample counts from what was learned, an image, and what is learned from it.
+
+What a policy remembers of a pixel is carried to where the pixel's point is now, and forgotten where that
+point could not be seen before. It says how many samples the pixel draws. From the noisy image the policy then
+learns for the next frame. What becomes of the images, such as a temporal accumulation, is not part of the
+loop and does not feed back into it.
+
+What is learned from is the Rec. 709 luminance of the image / pi. The control is the light on the pixel
+itself, in the same unit, times the share of it that scatters beyond the pixel.
+
+Source: Xie et al. 2020, section 3.3; Xie and Olano 2021, Algorithms 1-3; Xie 2021, section 4.4.
+"""
+
+import functools
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike, DTypeLike
+
+from sssfit.estimators import policies
+from sssfit.estimators.policies import Known, Policy, Sampled
+from sssfit.frames import scatter, split, temporal
+from sssfit.frames._block import LUMINANCE
+from sssfit.frames.gbuffer import Frame
+from sssfit.frames.points import Settings
+from sssfit.frames.render import SEEDS
+
+#: The light around a pixel is the mean over so many by so many pixels of its profile.
+_SURROUND = 8
+_IMAGE, _ORACLE = 0, 1
+
+
+class Config(eqx.Module):
+    """What a sequence is rendered with.
+
+    Attributes:
+        policy: who decides the counts, such as `policies.named` makes it. It is told the spread of a frame's
+            samples only if it is `policies.InFrame`, the exact variance only if it is `policies.Oracle`, and
+            the light around only where its `light` is "surround".
+        profiles: shape parameter of each channel, mm, by profile id; None where nothing scatters.
+        settings: see `points.Settings`.
+        gamma: the luminance is raised to 1 / gamma before anything is learned from it, and the control, too;
+            1 keeps it linear, 2.2 is the papers'. The policy's target is in the same measure.
+        depth_tolerance: see `temporal.disoccluded`.
+        history_dtype: what the policy's memory is kept in, float32 or float16.
+        seed: from 0 to `render.LARGEST_SEED`; other ones give independent images.
+        oracle_spp: samples from which the variance is taken that `policies.Oracle` is told, >= 2.
+    """
+
+    policy: Policy
+    profiles: Mapping[int, Any]
+    settings: Settings = eqx.field(default=Settings(), static=True)
+    gamma: float = eqx.field(default=1.0, static=True)
+    depth_tolerance: ArrayLike = 0.02
+    history_dtype: DTypeLike = eqx.field(default=jnp.float32, static=True)
+    seed: int = eqx.field(default=0, static=True)
+    oracle_spp: int = eqx.field(default=256, static=True)
+
+    def __check_init__(self):
+        """Refuse what does not go together."""
+        self.settings.check()
+        if not self.gamma > 0:
+            raise ValueError(f"gamma must be above 0, got {self.gamma:g}")
+        if self.gamma != 1 and isinstance(self.policy, policies.InFrame | policies.Oracle):
+            raise ValueError(
+                f"gamma must be 1 for a policy that knows variances of samples, got {self.gamma:g}"
+            )
+        if self.oracle_spp < 2:
+            raise ValueError(f"oracle_spp must be at least 2, got {self.oracle_spp}")
+
+
+class State(NamedTuple):
+    """What is carried from frame to frame.
+
+    Attributes:
+        number: how many frames there were.
+        memory: the policy's, a tree of (H, W).
+        depth, profile_id: of the frame before, (H, W).
+    """
+
+    number: int
+    memory: Any
+    depth: Array
+    profile_id: Array
+
+
+class Info(NamedTuple):
+    """What is known of a frame beside its image, arrays of (H, W).
+
+    Attributes:
+        counts: samples drawn, int32; 0 where nothing scatters.
+        missing: where the pixel had no history.
+        value: what was learned from it.
+    """
+
+    counts: Array
+    missing: Array
+    value: Array
+
+
+def luminance(image: ArrayLike) -> Array:
+    """Rec. 709 luminance of a linear image.
+
+    Args:
+        image: (..., 3).
+
+    Returns:
+        (...), in the image's unit.
+
+    Source: ITU-R BT.709-6, item 3.2.
+
+    Example:
+        >>> float(luminance(jnp.ones(3))).__round__(6)
+        1.0
+    """
+    image = jnp.asarray(image)
+    return sum(share * image[..., c] for c, share in enumerate(LUMINANCE))  # pyright: ignore
+
+
+def init(frame: Frame, config: Config) -> State:
+    """Before the first frame: nothing is known of any pixel.
+
+    Args:
+        frame: any of the sequence, for its size.
+        config: see `Config`.
+
+    Example:
+        >>> from sssfit.frames import procedural
+        >>> frame = procedural.frame(width=64, height=36)
+        >>> config = Config(policies.named("as"), {1: (1.0, 0.5, 0.3), 2: None})
+        >>> init(frame, config).number
+        0
+    """
+    shape = jnp.shape(frame.depth)
+    memory = config.policy.init(jnp.zeros(shape, config.history_dtype))
+    # No pixel has this id: all are new.
+    return State(0, memory, jnp.ones(shape, jnp.float32), jnp.full(shape, -1, jnp.int32))
+
+
+def step(state: State, frame: Frame, config: Config) -> tuple[State, Array, Info]:
+    """One frame.
+
+    Args:
+        state: from `init`, or after the frame before, of the same size.
+        frame: see `gbuffer.Frame`; without motion, everything is taken to be where it was.
+        config: the same in all frames of a sequence, up to its numbers.
+
+    Returns:
+        The state after it; the image, (H, W, 3), as `scatter.every_profile` gives it; and an `Info`. Nothing
+        is compiled anew from frame to frame.
+
+    Raises:
+        ValueError: the frame has another size than the state, or as `scatter.every_profile`.
+
+    Source: as this module.
+
+    Example:
+        >>> from sssfit.frames import procedural
+        >>> frame = procedural.frame(width=64, height=36)
+        >>> config = Config(policies.named("as"), {1: (1.0, 0.5, 0.3), 2: None})
+        >>> state, image, info = step(init(frame, config), frame, config)
+        >>> int(info.counts.max()), bool(info.missing.all())
+        (8, True)
+    """
+    if jnp.shape(frame.depth) != jnp.shape(state.depth):
+        (height, width), (rows, columns) = jnp.shape(frame.depth), jnp.shape(state.depth)
+        raise ValueError(
+            f"frame must have the size of those before it, {columns} x {rows}, got {width} x {height}"
+        )
+    options: dict[str, Any] = {"settings": config.settings, "number": state.number}
+    exact = jnp.float32(0)
+    if isinstance(config.policy, policies.Oracle):
+        seed, spp = SEEDS * config.seed + _ORACLE, config.oracle_spp
+        exact = scatter.image_and_variance(frame, config.profiles, counts=spp, seed=seed, **options)[1]
+    before = state.memory, state.depth, state.profile_id
+    counts, known = _before(*before, frame, exact, config, _uses_light(config.policy))
+    options |= {"counts": counts, "most": _largest(config.policy), "seed": SEEDS * config.seed + _IMAGE}
+    if isinstance(config.policy, policies.InFrame):
+        image, variance = scatter.image_and_variance(frame, config.profiles, **options)
+    else:
+        image, variance = scatter.every_profile(frame, config.profiles, **options), None
+    memory, value = _after(state.memory, frame.motion, known, counts, image, variance, config)
+    following = State(state.number + 1, memory, frame.depth, frame.profile_id)
+    return following, image, Info(counts, known.missing, value)
+
+
+def scan(
+    frames: Iterable[Frame], config: Config, state: State | None = None
+) -> Iterator[tuple[State, Array, Info]]:
+    """All frames of a sequence, one at a time.
+
+    Args:
+        frames: of one size; made when they are wanted.
+        config: see `Config`.
+        state: after an earlier part of the sequence; None to begin.
+
+    Yields:
+        What `step` returns.
+
+    Raises:
+        ValueError: as `step`.
+
+    Example:
+        >>> from sssfit.frames import procedural
+        >>> frames = (procedural.frame(index=k, width=64, height=36) for k in range(3))
+        >>> config = Config(policies.named("as"), {1: (1.0, 0.5, 0.3), 2: None})
+        >>> [state.number for state, image, info in scan(frames, config)]
+        [1, 2, 3]
+    """
+    for frame in frames:
+        state, image, info = step(init(frame, config) if state is None else state, frame, config)
+        yield state, image, info
+
+
+@functools.partial(jax.jit, static_argnames="uses_light")
+def _before(
+    memory, depth, profile_id, frame: Frame, exact: Array, config: Config, uses_light: bool
+) -> tuple[Array, Known]:
+    """How many samples the pixels draw, and what is known of them."""
+    missing = temporal.disoccluded(
+        frame.depth, frame.profile_id, depth, profile_id, frame.motion, depth_tolerance=config.depth_tolerance
+    )
+    sampled, control, surround = jnp.zeros(missing.shape, bool), jnp.float32(0), jnp.float32(0)
+    light = _measured(frame.irradiance, config)
+    for number, d in config.profiles.items():
+        if number == 0 or d is None:
+            continue
+        here = frame.profile_id == number
+        widest = jnp.max(jnp.asarray(d, jnp.float32), keepdims=True)
+        scattered = here & (widest > 0)
+        split_at = config.settings.split
+        if split_at is not None or uses_light:
+            depth = jnp.where(here, frame.depth, 1)
+            d = jnp.where(widest > 0, widest, 1)
+            share = split.distant_share(depth, frame.camera, d, config.settings)
+            scattered &= share >= (0 if split_at is None else split_at)
+            if uses_light:
+                control = jnp.where(here, share * light, control)
+                if getattr(config.policy, "light", None) == "surround":
+                    surround = jnp.where(here, share * _surround(light, here), surround)
+        sampled |= scattered
+    known = Known(control, surround, exact, missing)
+    memory = temporal.nearest(memory, frame.motion)
+    return jnp.where(sampled, config.policy.count(memory, known), 0), known
+
+
+@jax.jit
+def _after(memory, motion, known: Known, counts, image, variance, config: Config) -> tuple[Any, Array]:
+    """What is remembered after the frame, and what was learned from."""
+    # Looked up again rather than kept: that takes less time than to write it and read it.
+    memory = temporal.nearest(memory, motion)
+    value = _measured(image, config)
+    deviation = jnp.zeros_like(value) if variance is None else variance * jnp.maximum(counts - 1, 0)
+    memory, _ = config.policy.learn(memory, known, Sampled(counts, value, deviation))
+    return memory, value
+
+
+def _measured(image: Array, config: Config) -> Array:
+    """Luminance / pi of what leaves the surface, to the power asked for."""
+    linear = luminance(image) / jnp.pi
+    return linear if config.gamma == 1 else jnp.maximum(linear, 0) ** (1 / config.gamma)
+
+
+def _surround(light: Array, mask: Array) -> Array:
+    """The mean light around the pixels of one profile, 0 where there are none."""
+    height, width = light.shape
+    sums = [
+        jnp.pad(v, ((0, -height % _SURROUND), (0, -width % _SURROUND)))
+        for v in (jnp.where(mask, light, 0), mask)
+    ]
+    for axis in (0, 1):
+        sums = [jnp.sum(_cut(v, axis), axis=axis + 1, dtype=jnp.float32) for v in sums]
+    mean = jnp.where(sums[1] > 0, sums[0] / jnp.where(sums[1] > 0, sums[1], 1), 0)
+    return jnp.repeat(jnp.repeat(mean, _SURROUND, 0), _SURROUND, 1)[:height, :width]
+
+
+def _cut(values: Array, axis: int) -> Array:
+    """An axis in pieces of the size that the light is averaged over."""
+    shape = list(values.shape)
+    shape[axis : axis + 1] = [shape[axis] // _SURROUND, _SURROUND]
+    return values.reshape(shape)
+
+
+def _uses_light(policy: Any) -> bool:
+    """Whether anything depends on the light that is known before."""
+    if isinstance(policy, policies.Adaptive):
+        constant = policy.config.constant
+        return not (isinstance(constant, int | float) and constant == 0)
+    return not isinstance(policy, policies.Fixed | policies.Oracle)
+
+
+def _largest(policy: Any) -> int:
+    """The largest count that a policy can ask for, on the host."""
+    return int(np.max(policy.max_spp))

@@ -1,0 +1,221 @@
+"""The loop over frames: what is carried, what is learned, and what a frame draws."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sssfit.estimators import policies
+from sssfit.frames import scatter, sequence
+from sssfit.frames.camera import orthographic
+from sssfit.frames.gbuffer import Frame
+from sssfit.frames.points import Settings
+from sssfit.frames.render import SEEDS
+
+H, W = 24, 40
+D = (0.6, 0.4, 0.2)
+PROFILES = {1: D, 2: None}
+# Distances in the plane need no normals, and points of their own have errors that are independent.
+SETTINGS = Settings(distance="plane", points="fresh", sequence="iid")
+TEXTURE = np.random.default_rng(0).uniform(0, 2, (H, W, 1)).astype(np.float32) * np.ones(3, np.float32)
+
+
+def frame(light=None, ids=None, motion=None, depth=500.0):
+    light = TEXTURE if light is None else light
+    ids = np.ones((H, W), np.int32) if ids is None else ids
+    depth = np.broadcast_to(np.float32(depth), (H, W))
+    moved = None if motion is None else jnp.broadcast_to(jnp.asarray(motion, jnp.float32), (H, W, 2))
+    camera = orthographic(W, H, 0.2)
+    return Frame(jnp.asarray(light), jnp.asarray(depth), None, None, jnp.asarray(ids), moved, camera)
+
+
+def config(name="as", **options):
+    known = {"target_variance": 2e-4, "max_spp": 64} if name != "fixed" else {}
+    kept: dict[str, Any] = {"settings": SETTINGS}
+    kept |= {
+        key: options.pop(key) for key in ("gamma", "history_dtype", "seed", "settings") if key in options
+    }
+    policy = policies.named(name, **known | options)
+    return sequence.Config(policy, PROFILES, **kept)
+
+
+def run(frames, chosen):
+    return [(np.asarray(image), info) for _, image, info in sequence.scan(frames, chosen)]
+
+
+def test_a_fixed_count_gives_the_images_of_every_profile():
+    frames = [frame(), frame(light=2 * TEXTURE)]
+    for number, (image, info) in enumerate(run(frames, config("fixed", spp=16, seed=3))):
+        wanted = scatter.every_profile(
+            frames[number], PROFILES, counts=16, settings=SETTINGS, seed=3 * SEEDS, number=number
+        )
+        np.testing.assert_array_equal(image, wanted)
+        assert np.all(np.asarray(info.counts) == 16)
+
+
+def test_images_of_one_frame_again_have_noise_of_their_own():
+    (one, _), (other, _) = run([frame()] * 2, config("fixed", spp=16))
+    assert not np.array_equal(one, other)
+    (again, _), (with_another_seed, _) = (run([frame()], config("fixed", spp=16, seed=s))[0] for s in (0, 1))
+    np.testing.assert_array_equal(again, one)
+    assert not np.array_equal(with_another_seed, one)
+
+
+def by_hand(values, drawn, *, target, alpha, kappa):
+    """Counts of the 2021 paper's Eq 5 to 10, in double precision; None before the first."""
+    mean_count = mean = variance = None
+    for value, count in zip(values, drawn, strict=True):
+        value, count = np.asarray(value, float), np.asarray(count, float)
+        if variance is None:
+            mean_count, mean, variance = count, value, np.full_like(value, target)
+        else:
+            mean_count = (1 - alpha) * mean_count + alpha * count
+            delta = value - mean
+            mean = mean + alpha * delta
+            variance = (1 - alpha) * (variance + alpha * delta**2)
+        correction = (variance - target) / target * mean_count * (2 / alpha - 2)
+        yield np.clip(kappa * correction + variance / target * mean_count, 8, 64)
+
+
+def test_counts_follow_the_papers_equations():
+    found = run([frame()] * 6, config("as", alpha=0.2, kappa=0.1))
+    counts = [np.asarray(info.counts) for _, info in found]
+    values = [np.asarray(info.value) for _, info in found]
+    assert np.all(counts[0] == 8) and np.ptp(counts[5]) > 30
+    wanted = list(by_hand(values, counts, target=2e-4, alpha=0.2, kappa=0.1))
+    for given, drawn in zip(wanted, counts[1:], strict=False):
+        # Rounded to the nearest, and what float32 makes of the ends of the rounding.
+        assert np.all(np.abs(given - drawn) <= 0.5 + 1e-3)
+
+
+def test_what_is_learned_from_is_the_luminance_over_pi():
+    for gamma in (1.0, 2.2):
+        ((image, info),) = run([frame(light=TEXTURE * [1.0, 0.5, 0.1])], config("ocv", gamma=gamma))
+        wanted = (image @ [0.2126, 0.7152, 0.0722] / np.pi) ** (1 / gamma)
+        np.testing.assert_allclose(info.value, wanted, rtol=1e-5, atol=1e-7)
+
+
+def test_a_history_moves_with_its_pixels():
+    """Everything moves three pixels to the right each frame; what comes in at the left is new."""
+    chosen, still = config("as", alpha=0.3), run([frame()] * 3, config("as", alpha=0.3))
+    moving = [frame(light=np.roll(TEXTURE, 3 * k, axis=1), motion=[-3.0, 0.0]) for k in range(3)]
+    state, seen = sequence.init(moving[0], chosen), []
+    for each in moving:
+        before = state.memory
+        state, _, info = sequence.step(state, each, chosen)
+        seen.append((before, state.memory, info))
+    for before, after, info in seen[1:]:
+        missing = np.asarray(info.missing)
+        assert missing[:, :3].all() and not missing[:, 3:].any()
+        assert np.all(np.asarray(info.counts)[:, :3] == 8)
+        # A moving mean is alpha of the newest frame and the rest of what lay three pixels to the left.
+        old, new = np.asarray(before.count.mean), np.asarray(after.count.mean)
+        wanted = 0.7 * old[:, :-3] + 0.3 * np.asarray(info.value)[:, 3:]
+        np.testing.assert_allclose(new[:, 3:], wanted, rtol=2e-6)
+    # Where nothing has moved, nothing is missing but in the first frame.
+    assert [bool(np.asarray(info.missing).any()) for _, info in still] == [True, False, False]
+
+
+def test_uncovered_pixels_start_afresh():
+    ids = np.ones((H, W), np.int32)
+    ids[:, 20:] = 2
+    first, then = frame(ids=ids), frame()
+    deeper = frame(depth=600.0)
+    chosen = config("as")
+    (_, one), (image, two), (_, three), (_, four) = run([first, then, then, deeper], chosen)
+    assert np.all(np.asarray(one.counts)[:, 20:] == 0)
+    np.testing.assert_array_equal(np.asarray(two.missing), ids == 2)
+    assert np.all(np.asarray(two.counts)[:, 20:] == 8)
+    assert not np.asarray(three.missing).any() and np.asarray(four.missing).all()
+    assert np.isfinite(image).all()
+
+
+def flashing(frames=12):
+    return [frame(light=np.float32(1 + np.sin(k / 2)) * TEXTURE) for k in range(frames)]
+
+
+@pytest.mark.slow
+def test_a_control_variate_takes_the_light_out():
+    """A light on all pixels alike: adaptive sampling takes its changes for noise."""
+    means = {}
+    for name in ("as", "ocv", "in_frame", "oracle"):
+        found = run(flashing(40), config(name, target_variance=2e-3))
+        means[name] = np.mean([np.asarray(info.counts) for _, info in found[15:]])
+    assert means["as"] > 1.5 * means["oracle"]
+    assert means["ocv"] < 0.85 * means["as"]
+    assert means["in_frame"] == pytest.approx(means["oracle"], rel=0.1)
+
+
+def test_the_light_around_is_the_mean_of_one_profile():
+    ids = np.ones((H, W), np.int32)
+    ids[:, 12:] = 2
+    light = np.where((ids == 1)[..., None], TEXTURE, 1e6).astype(np.float32)
+    mask = jnp.asarray(ids == 1)
+    found = np.asarray(sequence._surround(jnp.asarray(light[..., 0]), mask))
+    for rows, columns in ((slice(0, 8), slice(0, 8)), (slice(8, 16), slice(8, 12))):
+        wanted = light[rows, columns, 0].mean(dtype=float)
+        np.testing.assert_allclose(found[rows, columns], wanted, rtol=1e-5)
+    assert np.all(found[:, 16:] == 0)
+
+
+def test_nothing_is_compiled_anew():
+    programs: tuple[Any, ...] = (sequence._before, sequence._after)
+    for name in ("as", "ocv", "in_frame", "fixed"):
+        list(sequence.scan(flashing()[:2], config(name)))
+    before = [program._cache_size() for program in programs]
+    for name in ("as", "ocv", "in_frame", "fixed"):
+        list(sequence.scan(flashing(), config(name, seed=0)))
+    assert [program._cache_size() for program in programs] == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["as", "ocv", "ccv", "unreal", "in_frame"])
+def test_histories_of_half_precision(name):
+    whole, half = (
+        [
+            np.asarray(info.counts, float).mean()
+            for _, info in run([frame()] * 6, config(name, history_dtype=t))
+        ]
+        for t in (jnp.float32, jnp.float16)
+    )
+    # A moving variance of 1e-4 has 11 bits in half: counts of 64 change by less than one in the mean.
+    np.testing.assert_allclose(half, whole, atol=1.0)
+    state = sequence.init(frame(), config(name, history_dtype=jnp.float16))
+    assert {leaf.dtype for leaf in jax.tree.leaves(state.memory)} == {jnp.dtype("float16")}
+
+
+@pytest.mark.slow
+def test_pixels_without_distant_light_draw_none():
+    wide = Settings(points="fresh", distance="plane", split=0.5)
+    found = run([frame()] * 2, config("as", settings=wide))
+    assert all(np.all(np.asarray(info.counts) > 0) for _, info in found)
+    narrow = sequence.Config(policies.named("as"), {1: (0.01, 0.01, 0.01)}, settings=wide)
+    ((image, info),) = run([frame()], narrow)
+    assert not np.asarray(info.counts).any()
+    np.testing.assert_array_equal(image, TEXTURE)
+
+
+def test_frames_in_which_nothing_scatters():
+    black = frame(light=np.zeros((H, W, 3), np.float32))
+    for chosen in (config("ocv"), config("in_frame")):
+        found = run([black, frame(ids=np.zeros((H, W), np.int32)), frame()], chosen)
+        assert all(np.isfinite(image).all() for image, _ in found)
+        assert not np.asarray(found[1][1].counts).any()
+        assert np.asarray(found[2][1].missing).all()
+
+
+def test_what_does_not_go_together_is_refused():
+    with pytest.raises(ValueError, match="^gamma must be above 0, got 0$"):
+        config("as", gamma=0.0)
+    with pytest.raises(ValueError, match="^gamma must be 1 for a policy that knows variances of samples"):
+        config("in_frame", gamma=2.2)
+    with pytest.raises(ValueError, match="^oracle_spp must be at least 2, got 1$"):
+        sequence.Config(policies.named("oracle"), PROFILES, oracle_spp=1)
+    state = sequence.init(frame(), config())
+    small = frame()._replace(depth=jnp.ones((3, 4)))
+    with pytest.raises(ValueError, match="^frame must have the size of those before it, 40 x 24, got 4 x 3$"):
+        sequence.step(state, small, config())
+    with pytest.raises(ValueError, match="3 is missing"):
+        sequence.step(state, frame(ids=np.full((H, W), 3, np.int32)), config())
