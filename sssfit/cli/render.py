@@ -1,4 +1,4 @@
-"""`sssfit render`: a frame from a file, scattered, and compared with a reference."""
+"""`sssfit render`: a frame from a file, or a sequence of them, scattered and compared with references."""
 
 import argparse
 import math
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sssfit.cli import render_options
+from sssfit.cli import render_options, render_sequence, sequence_options
 
 _DESCRIPTION = """\
 Scatter a frame: irradiance, depth, normals and profile ids from an EXR file. Lengths are in mm.
@@ -17,12 +17,18 @@ Scatter a frame: irradiance, depth, normals and profile ids from an EXR file. Le
 Written are scattered.exr (layer sss: irradiance after scattering, for albedo 1), count.exr, error.exr with a
 reference, pictures of them, summary.json, timing.json and manifest.json. The same options give the same bytes
 on the same kind of machine, timing.json apart.
+
+With --mode, frames numbered at the end of their names are a sequence, in which the counts follow from what
+was learned from the frames before. Written are scattered_NNNN.exr, count_NNNN.exr and pictures of both for
+each frame NNNN; sequence.csv, sequence.png and sequence.webp, summary.json, timing.csv and manifest.json.
+What is interrupted goes on with --resume, and gives the same bytes.
 """
 _EXAMPLE = """\
 examples:
   sssfit render frame_00.exr --camera camera.json --profile skin1 --out scattered
   sssfit render frame.exr --camera camera.json --profile marble --spp 8:64 --target-variance 1e-4 --out few
   sssfit render frame.exr --fov-x-deg 29 --d 1.9,0.5,0.2 --method exact --out exact
+  sssfit render 'frame_*.exr' --camera camera.json --profile skin1 --mode ocv --target-variance 1e-3 --out all
 """
 
 
@@ -30,19 +36,26 @@ def add_command(commands) -> None:
     """Add `render` to the parser's commands."""
     command = commands.add_parser(
         "render",
-        help="scatter a frame from an EXR file, and compare it with a reference",
+        help="scatter a frame or a sequence from EXR files, and compare it with references",
         description=_DESCRIPTION,
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    command.add_argument("frame", metavar="FRAME.exr", help="linear, without anti-aliasing")
+    command.add_argument(
+        "frame", nargs="+", metavar="FRAME.exr",
+        help="linear, without anti-aliasing; with --mode several, or a quoted 'frame_*.exr'",
+    )  # fmt: skip
     command.add_argument("--out", required=True, metavar="DIR", help="output directory, made if missing")
     render_options.add_scene(command)
     render_options.add_method(command)
-    command.add_argument("--reference", metavar="REF.exr", help="layers sss and diff, to be compared with")
+    sequence_options.add(command)
     command.add_argument(
-        "--replicates", type=int, default=8, metavar="K",
-        help="repetitions that give the bias its standard error: 0 or from 8 on (default: %(default)s)",
+        "--reference", nargs="+", metavar="REF.exr",
+        help="layers sss and diff, to be compared with; of a sequence those with the frames' numbers",
+    )  # fmt: skip
+    command.add_argument(
+        "--replicates", type=int, metavar="K",
+        help="repetitions that give the bias its standard error: 0 or from 8 on (default: 8)",
     )  # fmt: skip
     command.add_argument("--quiet", action="store_true", help="show no progress")
     command.set_defaults(run=run)
@@ -54,6 +67,9 @@ def run(options: argparse.Namespace) -> int:
 
     if not options.out:
         raise ValueError("--out must name a directory; use . for the current one")
+    if options.mode is not None:
+        return render_sequence.run(options)
+    sequence_options.check_single(options)
     with interrupt_deferred():
         from sssfit.files.errors import FileError
         from sssfit.files.output import output_directory

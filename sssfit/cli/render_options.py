@@ -5,7 +5,7 @@ import math
 import re
 import sys
 import typing
-import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -119,15 +119,21 @@ def _one_of(options: argparse.Namespace, what: str, names: tuple[str, ...]) -> N
 def counts(options: argparse.Namespace) -> tuple[int, int]:
     """The smallest and the largest count of a pixel."""
     text = "64" if options.spp is None else options.spp
-    found = re.fullmatch(r"(\d+)(?::(\d+))?", text, re.ASCII)
-    least, most = (int(n or found.group(1)) for n in found.groups()) if found else (0, 0)
-    if not 1 <= least <= most <= _LARGEST:
-        raise ValueError(f"--spp must be N or MIN:MAX, whole numbers from 1 to {_LARGEST}, got {text!r}")
+    found = bounds(text)
     target = options.target_variance
     if (":" in text) != (target is not None):
         raise ValueError("--spp MIN:MAX and --target-variance must be given together")
     if target is not None and not 0 < target < math.inf:
         raise ValueError(f"--target-variance must be a number above 0, got {target:g}")
+    return found
+
+
+def bounds(text: str) -> tuple[int, int]:
+    """What `--spp` says."""
+    found = re.fullmatch(r"(\d+)(?::(\d+))?", text, re.ASCII)
+    least, most = (int(n or found.group(1)) for n in found.groups()) if found else (0, 0)
+    if not 1 <= least <= most <= _LARGEST:
+        raise ValueError(f"--spp must be N or MIN:MAX, whole numbers from 1 to {_LARGEST}, got {text!r}")
     return least, most
 
 
@@ -165,9 +171,23 @@ def _numbers_of_settings() -> list[str]:
 
 def frame(options: argparse.Namespace):
     """The frame, and how many pixels of it are bad; a warning about those is a line on the terminal."""
+    told: list[str] = []
+    loaded = loader(options, options.frame)(options.frame, told.append)
+    for text in told:
+        print(f"warning: {text}", file=sys.stderr)
+    return loaded, bad_pixels(told)
+
+
+def loader(
+    options: argparse.Namespace, first: str | Path, also: tuple[str, ...] = ()
+) -> Callable[[str | Path, Callable[[str], None]], Any]:
+    """What reads a frame from its path and tells of bad pixels; numbers of a camera get the first's size.
+
+    Motion is among the layers to be read if `also` names it.
+    """
     from sssfit.frames import camera, gbuffer, render
 
-    layers: dict[str, str | None] = {"albedo": None, "motion": None}
+    layers: dict[str, str | None] = {n: None for n in ("albedo", "motion") if n not in also}
     known = [name for name in gbuffer.LAYERS if name not in layers]
     for text in options.layer:
         name, _, layer = text.partition("=")
@@ -176,39 +196,44 @@ def frame(options: argparse.Namespace):
         layers[name] = layer
     view = options.camera
     if view is None:
-        size = render.size(options.frame, layers.get("irradiance"))
+        size = render.size(first, layers.get("irradiance"))
         if options.mm_per_pixel is not None:
             view = camera.orthographic(*size, options.mm_per_pixel)
         else:
             lens = {name: getattr(options, name) for name in ("fx", "fy", "cx", "cy")}
             view = camera.perspective(*size, **lens, fov_x_degrees=options.fov_x_deg)
     numbers = {"world_scale": options.world_scale, "background_depth": options.background_depth}
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        loaded = gbuffer.load(options.frame, view, layers=layers, **numbers, strict=options.strict)
-    bad = 0
-    for warning in caught:
-        text = str(warning.message)
-        print(f"warning: {text}", file=sys.stderr)
-        bad += sum(map(int, re.findall(r"(\d+) pixels? ha(?:s|ve) ", text)))
-    return loaded, bad
+    more: dict[str, Any] = {"layers": layers, **numbers, "strict": options.strict}
+    return lambda path, tell: gbuffer.load(path, view, **more, tell=tell)
+
+
+def bad_pixels(told: list[str]) -> int:
+    """How many faults of pixels the sentences of `loader` tell of."""
+    return sum(int(n) for text in told for n in re.findall(r"(\d+) pixels? ha(?:s|ve) ", text))
 
 
 def profiles(options: argparse.Namespace, frame) -> dict[int, Any]:
     """d in mm of every id, None where nothing scatters."""
     import numpy as np
 
+    ids = [int(number) for number in np.unique(frame.profile_id) if number]
+    return profiles_of(options, ids, options.reference)
+
+
+def profiles_of(options: argparse.Namespace, ids: list[int], reference: Any) -> dict[int, Any]:
+    """The same for some ids, under the names of a reference if there is one."""
+    import numpy as np
+
     from sssfit.files.errors import FileError
     from sssfit.frames import scene_profiles
 
-    ids = [int(number) for number in np.unique(frame.profile_id) if number]
     if options.profile is None:
         d = _numbers(options.d)
         if len(d) != 3 or not all(0 <= n < math.inf for n in d) or not any(d):
             text = "three numbers R,G,B in mm, none below 0 and one above it"
             raise ValueError(f"--d must be {text}, got {options.d!r}")
         return {number: np.array(d) for number in ids}
-    found = scene_profiles.by_id(options.camera, options.profile, options.reference, ids=ids)
+    found = scene_profiles.by_id(options.camera, options.profile, reference, ids=ids)
     lacking = [number for number in ids if number not in found]
     if lacking:
         problem = f"id {lacking[0]} of the frame has no profile beside {options.profile!r}"

@@ -105,6 +105,24 @@ def staged_directory(out: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
+def make_directory(path: str | os.PathLike[str]) -> None:
+    """Make a directory and its missing parents; one that is there is left as it is.
+
+    Args:
+        path: the directory.
+
+    Raises:
+        FileError: it or a parent is a file, or may not be made.
+
+    Example:
+        >>> with tempfile.TemporaryDirectory() as parent:
+        ...     make_directory(Path(parent) / "a" / "b")
+        ...     (Path(parent) / "a" / "b").is_dir()
+        True
+    """
+    _make_directory(Path(path), [])
+
+
 def _make_staging(out: Path) -> Path:
     """Make the staging directory; inside ``out``, so that renaming never crosses file systems."""
     try:

@@ -3,6 +3,7 @@
 import io
 import os
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
@@ -16,6 +17,9 @@ from sssfit.files.reading import read_bytes
 # Every EXR file begins with these bytes; checked first because the library itself prints to the
 # terminal about files that are something else.
 MAGIC = b"\x76\x2f\x31\x01"
+#: Held while a file is read, when nothing that the process prints reaches the terminal: to be held by whoever
+#: prints while another thread reads.
+TERMINAL = threading.RLock()
 
 
 def encode_exr(channels: dict[str, np.ndarray], attributes: dict[str, str]) -> bytes:
@@ -101,8 +105,9 @@ def read_exr(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[
 @contextmanager
 def _muted() -> Iterator[None]:
     """Keep what the library prints about damaged files off the terminal: the exception says it."""
-    # Its binding prints through Python to one stream, its core past Python to the other.
-    with redirect_stdout(io.StringIO()):
+    # Its binding prints through Python to one stream, its core past Python to the other. Both streams are the
+    # whole process's: of two threads, one might take the other's replacement for the original.
+    with TERMINAL, redirect_stdout(io.StringIO()):
         try:
             original = os.dup(2)
         except OSError:  # closed: nothing to be muted

@@ -43,6 +43,22 @@ class Output:
             self._write("timing.json", json_text(self.timing).encode())
 
 
+def versions(packages: Sequence[str] = ()) -> dict[str, str]:
+    """The versions that a manifest states.
+
+    Args:
+        packages: more than those that every manifest has.
+
+    Returns:
+        By name.
+
+    Example:
+        >>> "jax" in versions()
+        True
+    """
+    return {name: version(name) for name in (*_PACKAGES, *packages)}
+
+
 @contextmanager
 def output_directory(
     out: str | os.PathLike[str], manifest: dict[str, Any], packages: Sequence[str] = ()
@@ -69,8 +85,7 @@ def output_directory(
         ...     sorted(path.name for path in Path(folder).iterdir())
         ['a.txt', 'manifest.json']
     """
-    versions = {name: version(name) for name in (*_PACKAGES, *packages)}
     with staged_directory(out) as staging:
-        output = Output(staging, {"versions": versions, **manifest, "files": {}})
+        output = Output(staging, {"versions": versions(packages), **manifest, "files": {}})
         yield output
         output._finish()

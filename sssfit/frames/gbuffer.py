@@ -3,7 +3,7 @@
 import math
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -75,6 +75,7 @@ def load(
     world_scale: float = 1.0,
     background_depth: float = BACKGROUND_DEPTH,
     strict: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> Frame:
     """Read a frame from an EXR file, or from several of one size.
 
@@ -95,6 +96,7 @@ def load(
         world_scale: mm per unit of the file's depth.
         background_depth: pixels this deep show nothing, mm (0.99 of it is deep enough).
         strict: refuse bad pixels instead.
+        tell: gets the sentence about bad pixels, where a warning will not do, such as in a thread.
 
     Returns:
         The frame, free of NaN and infinities.
@@ -140,7 +142,7 @@ def load(
     else:
         profile_id = _whole(ids[..., 0], path)
     rest = {n: None if p is None else p.astype(np.float32) for n, p in found.items() if n in _COMPONENTS}
-    return _mended(rest, depth, profile_id, camera, path, background_depth, strict)
+    return _mended(rest, depth, profile_id, camera, path, background_depth, strict, tell)
 
 
 def encode(frame: Frame, *, half: bool = False, attributes: Mapping[str, str] | None = None) -> bytes:
@@ -237,6 +239,7 @@ def _mended(
     file: Path,
     background_depth: float,
     strict: bool,
+    tell: Callable[[str], None] | None,
 ) -> Frame:
     """A frame of these layers, with bad pixels masked out or refused."""
     irradiance, surface = layers.pop("irradiance"), profile_id > 0
@@ -252,7 +255,11 @@ def _mended(
     if told and strict:
         raise FileError(file, "", ", ".join(told), "mend the file, or have them masked out without strict")
     if told:
-        warnings.warn(f"{file}: {', '.join(told)}; they are masked out", stacklevel=3)
+        sentence = f"{file}: {', '.join(told)}; they are masked out"
+        if tell is None:
+            warnings.warn(sentence, stacklevel=3)
+        else:
+            tell(sentence)
         bad = np.any(list(faults.values()), axis=0)
         irradiance, profile_id = np.where(bad[..., None], 0, irradiance), np.where(bad, 0, profile_id)
         depth = np.where(bad, background_depth, depth)
