@@ -1,18 +1,16 @@
-"""Sequences of frames: counts under a light that flashes, and the variance that controllers deliver."""
+"""Sequences of frames: counts under a light that flashes, and of a scene that stands still."""
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import interleaved
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-import scipy.stats
 from frames_data import FOLDER, save, scene, table, write
 
 from sssfit.estimators import policies
 from sssfit.frames import compare, gbuffer, reference, scatter, scene_profiles, sequence
 from sssfit.frames.gbuffer import Frame
-from sssfit.frames.points import Settings
 
 PAGE = "sequences.md"
 COLOURS = {
@@ -128,116 +126,91 @@ def draw_flash(tracks: dict[str, Track], light: np.ndarray) -> None:
     save(figure, "flash")
 
 
-# --- the variance delivered
+# --- a scene that stands still
 
-DELIVERED_SEEDS, WARM = 64, 24
-DELIVERED_TARGET, DELIVERED_BOUNDS = 1e-3, (8, 256)
-POINTS = {
-    "independent": Settings(points="fresh", sequence="iid"),
-    "table, R2 (default)": Settings(),
-}
-ORACLE_SPP = 4096
+STATIC_TARGETS, STATIC_MOST, STATIC_FIXED = (3e-4, 1e-3, 3e-3), (64, 128, 512), 64
+STATIC_FRAMES, STATIC_LAST, STATIC_ROUNDS = 24, 4, 9
 
 
-def study_delivered() -> None:
+class Static(NamedTuple):
+    """A still frame, its profiles and pixels, an image of many samples and half its halves' difference."""
+
+    frame: Frame
+    profiles: dict[int, Any]
+    mask: np.ndarray
+    many: tuple[np.ndarray, np.ndarray]
+
+
+def study_static() -> None:
     head = scene("s2_head", "skin1")
     frame = head.frame._replace(profile_id=jnp.asarray(head.mask).astype(jnp.int32))
-    profiles = {1: head.d}
-    rows, ratios = [], {}
-    for points, settings in POINTS.items():
-        exact = np.asarray(
-            scatter.variance_of_samples(frame, profiles, counts=ORACLE_SPP, settings=settings, seed=3)
-        )
-        # Pixels whose count the bounds would decide say nothing of the controller.
-        low, high = DELIVERED_BOUNDS
-        free = head.mask & (exact / DELIVERED_TARGET > 1.5 * low) & (exact / DELIVERED_TARGET < high / 1.5)
-        for name, chosen in delivered_policies(settings).items():
-            config = {"profiles": profiles, "settings": settings, "oracle_spp": 1024}
-            seen = Welford()
-            for seed in range(DELIVERED_SEEDS):
-                seen.add(last_frame(frame, sequence.Config(chosen, seed=seed, **config)), free)
-            ratio = seen.variance() / DELIVERED_TARGET
-            ratios[points, name] = ratio
-            rows.append(delivered_row(points, name, seen.counts / seen.number, ratio))
-            print(rows[-1], flush=True)
-    write("delivered", table(rows, 2), PAGE)
-    draw_delivered(ratios)
+    of = Static(frame, {1: head.d}, head.mask, many_samples(frame, {1: head.d}))
+    rows = [static_row(of, f"fixed {STATIC_FIXED}", "", "", policies.named("fixed", spp=STATIC_FIXED))]
+    for most in STATIC_MOST:
+        for target in STATIC_TARGETS:
+            for name, options in {
+                "as, kappa 0": {"kappa": 0.0},
+                "as, kappa 0.2": {"kappa": 0.2},
+                "in_frame": {},
+            }.items():
+                bounds: dict[str, Any] = {"target_variance": target, "min_spp": 8, "max_spp": most}
+                chosen = policies.named(name.partition(",")[0], **bounds, **options)
+                rows.append(static_row(of, name, f"[8, {most}]", f"{target:g}", chosen))
+                print(rows[-1], flush=True)
+    write("static", table(rows, 3), PAGE)
 
 
-def delivered_policies(settings: Settings) -> dict[str, Any]:
-    low, high = DELIVERED_BOUNDS
-    common: dict[str, Any] = {"target_variance": DELIVERED_TARGET, "min_spp": low, "max_spp": high}
-    found = {f"as, kappa {kappa:g}": policies.named("as", kappa=kappa, **common) for kappa in (0.0, 0.2)}
-    found["in_frame"] = policies.named("in_frame", **common)
-    if settings.sequence != "iid":
-        found["in_frame, gain"] = policies.named("in_frame", gain_alpha=policies.GAIN_ALPHA, **common)
-    return found | {"oracle": policies.named("oracle", **common)}
+def many_samples(frame: Frame, profiles) -> tuple[np.ndarray, np.ndarray]:
+    a, b = (
+        np.asarray(scatter.every_profile(frame, profiles, counts=4096, seed=seed)).astype(float)
+        for seed in (7, 8)
+    )
+    return (a + b) / 2, (a - b) / 2
 
 
-class Welford:
-    """Mean and variance over seeds of one pixel's value."""
-
-    def __init__(self):
-        self.number, self.mean, self.square, self.counts = 0, 0.0, 0.0, 0.0
-
-    def add(self, last: tuple[np.ndarray, np.ndarray], where: np.ndarray) -> None:
-        value, counts = (v[where].astype(float) for v in last)
-        self.number += 1
-        delta = value - self.mean
-        self.mean = self.mean + delta / self.number
-        self.square = self.square + delta * (value - self.mean)
-        self.counts = self.counts + counts.mean()
-
-    def variance(self) -> np.ndarray:
-        return np.asarray(self.square) / (self.number - 1)
-
-
-def last_frame(frame: Frame, config: sequence.Config) -> tuple[np.ndarray, np.ndarray]:
-    """Value and count of each pixel once the histories are warm."""
-    frames: Iterator[Frame] = (frame for _ in range(1 if is_stateless(config.policy) else WARM))
-    *_, (_, _, info) = sequence.scan(frames, config)
-    return np.asarray(info.value), np.asarray(info.counts)
-
-
-def is_stateless(policy: Any) -> bool:
-    return isinstance(policy, policies.Oracle | policies.Fixed)
-
-
-def delivered_row(points: str, name: str, count: float, ratio: np.ndarray) -> dict[str, str]:
-    degrees = DELIVERED_SEEDS - 1
-    low, high = scipy.stats.chi2.ppf([0.05, 0.95], degrees) / degrees
-    return {
-        "points": points,
-        "policy": name,
-        "pixels": f"{len(ratio):,}",
-        "mean count": f"{count:.1f}",
-        "mean variance / target": f"{ratio.mean():.3f}",
-        "median": f"{np.median(ratio):.3f}",
-        "oversampled, %": f"{100 * np.mean(ratio < low):.1f}",
-        "undersampled, %": f"{100 * np.mean(ratio > high):.1f}",
+def static_row(of: Static, name: str, bounds: str, target: str, chosen: Any) -> dict[str, str]:
+    """Means over the last frames, in which the histories are warm."""
+    config = sequence.Config(chosen, of.profiles)
+    last = [
+        (image, np.asarray(info.counts))
+        for state, image, info in sequence.scan([of.frame] * STATIC_FRAMES, config)
+        if state.number > STATIC_FRAMES - STATIC_LAST
+    ]
+    counts = last[-1][1]
+    found = [compare.compare(image, *of.many, of.mask).psnr for image, _ in last]
+    errors = np.mean([squared(of, image) for image, _ in last], axis=0)
+    full = counts[of.mask] == counts.max()
+    cells = {"policy": name, "bounds": bounds, "target": target}
+    cells["mean count / 64"] = f"{np.mean([c[of.mask].mean() for _, c in last]) / STATIC_FIXED:.3f}"
+    cells["time / fixed 64"] = f"{time_ratio(of, counts):.3f}"
+    cells["PSNR, dB"] = f"{np.mean(found):.2f}"
+    if bounds:
+        wanted = float(target)
+        cells["at the bound, %"] = f"{100 * full.mean():.1f}"
+        cells["error there / target"] = f"{errors[full].mean() / wanted:.2f}" if full.any() else ""
+        cells["error elsewhere / target"] = f"{errors[~full].mean() / wanted:.2f}" if (~full).any() else ""
+    return cells | {
+        n: "" for n in ("at the bound, %", "error there / target", "error elsewhere / target") if not bounds
     }
 
 
-def draw_delivered(ratios: dict[tuple[str, str], np.ndarray]) -> None:
-    figure, every = plt.subplots(1, 2, figsize=(11, 4.2), dpi=100, layout="constrained", sharey=True)
-    degrees = DELIVERED_SEEDS - 1
-    edges = np.linspace(0, 3, 121)
-    middle = (edges[1:] + edges[:-1]) / 2
-    law = scipy.stats.chi2.pdf(middle * degrees, degrees) * degrees
-    colours = ["#0072b2", "#56b4e9", "#009e73", "#e69f00", "black"]
-    for axes, points in zip(every, POINTS, strict=True):
-        axes.fill_between(middle, law, color="0.9", lw=0, label="a perfect controller, 64 seeds")
-        names = [name for p, name in ratios if p == points]
-        for name in names:
-            colour = colours[
-                ["as, kappa 0", "as, kappa 0.2", "in_frame", "in_frame, gain", "oracle"].index(name)
-            ]
-            density, _ = np.histogram(ratios[points, name], edges, density=True)
-            axes.plot(middle, density, color=colour, lw=1.4, label=name)
-        axes.set(title=points, xlabel="variance over 64 seeds / target", xlim=(0, 3), ylim=(0, None))
-        axes.legend(frameon=False, fontsize=9)
-    every[0].set_ylabel("density of pixels")
-    save(figure, "delivered")
+def squared(of: Static, image) -> np.ndarray:
+    """Squared error of the luminance / pi at each pixel."""
+    error = sequence.luminance(np.asarray(image) - of.many[0]) / np.pi
+    return np.square(np.asarray(error))[of.mask]
 
 
-STUDIES = {"flash": study_flash, "delivered": study_delivered}
+def time_ratio(of: Static, counts: np.ndarray) -> float:
+    """Of a pass with these counts and one with the fixed count, in turns."""
+
+    def drawn(many: Any) -> Any:
+        found = scatter.every_profile(of.frame, of.profiles, counts=many, most=int(np.max(many)))
+        return found.block_until_ready()
+
+    fixed = jnp.full(counts.shape, STATIC_FIXED)
+    programs = {"counts": lambda: drawn(jnp.asarray(counts)), "fixed": lambda: drawn(fixed)}
+    times = interleaved.measure(programs, STATIC_ROUNDS)
+    return float(np.median(times["counts"] / times["fixed"]))
+
+
+STUDIES = {"flash": study_flash, "static": study_static}

@@ -4,7 +4,7 @@ Run from the repository root, all studies in some twenty minutes on two cores, o
 
     python docs/scripts/frames_studies.py [beam] [importance] [methods] [spp] [prefilter] [split]
 
-and of docs/sequences.md, in some ten minutes more: [flash] [delivered]
+and of docs/sequences.md, in some ten minutes more: [flash] [static] [delivered]
 """
 
 import sys
@@ -12,10 +12,13 @@ import time
 
 import frames_accuracy
 import frames_data
+import frames_delivered
 import frames_sampling
 import frames_sequences
 
-STUDIES = frames_accuracy.STUDIES | frames_sampling.STUDIES | frames_sequences.STUDIES
+STUDIES = (
+    frames_accuracy.STUDIES | frames_sampling.STUDIES | frames_sequences.STUDIES | frames_delivered.STUDIES
+)
 
 
 def main() -> None:
