@@ -73,8 +73,11 @@ def run(options: argparse.Namespace) -> int:
     with interrupt_deferred():
         from sssfit.files.errors import FileError
         from sssfit.files.output import output_directory
-        from sssfit.frames import reference, render, render_output
+        from sssfit.frames import reference, render, render_output, sequence_ledger
     render_options.check(options)
+    if (Path(options.out) / sequence_ledger.UNFINISHED).exists():
+        remedy = "finish it with --mode and --resume, or give another directory"
+        raise FileError(options.out, "", "holds an unfinished sequence", remedy)
     settings, counts = render_options.settings(options), render_options.counts(options)
     started = time.perf_counter()
     with interrupt_deferred():

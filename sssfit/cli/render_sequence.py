@@ -115,13 +115,17 @@ class _Reader:
         """Read one frame and its reference."""
         import numpy as np
 
+        from sssfit.files.errors import FileError
         from sssfit.files.json_text import sha256_bytes
         from sssfit.files.reading import read_bytes
         from sssfit.frames import reference, render, sequence_files
 
         told: list[str] = []
+        written = _state_of(place.path)
         sha256 = {"frames": {place.path.name: sha256_bytes(read_bytes(place.path))}}
         frame = self._load(place.path, told.append)
+        if _state_of(place.path) != written:
+            raise FileError(place.path, "", "has changed while it was read", "render it first, then this")
         sequence_files.check(frame, place.path, self._size)
         self._size = frame.camera.width, frame.camera.height
         ids = {int(number) for number in np.unique(frame.profile_id) if number} | set(self._profiles)
@@ -137,6 +141,15 @@ class _Reader:
     def _of(self, ids: list[int]) -> dict[int, Any]:
         named = next(iter(self._work.references.values()), None)
         return render_options.profiles_of(self._work.options, ids, named)
+
+
+def _state_of(path: Path) -> tuple[int, ...] | None:
+    """What changes where a file is written to; None where there is none, which reading it will tell."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _one_frame(work: Work, read: _Read, state, waited: float, bar):

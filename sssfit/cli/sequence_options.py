@@ -56,7 +56,8 @@ def check_single(options: argparse.Namespace) -> None:
             if len(given) > 1 or (glob.has_magic(given[0]) and not os.path.exists(given[0])):
                 raise ValueError(f"{flag} names more than one file; give --mode to render a sequence")
             setattr(options, name, given[0])
-    alone = [name for name in _ALONE if getattr(options, name) not in (None, False)]
+    given = {name: getattr(options, name) for name in _ALONE}
+    alone = [name for name, value in given.items() if value is not None and value is not False]
     if alone:
         raise ValueError(f"--{alone[0]} needs --mode")
     if options.replicates is None:

@@ -35,10 +35,12 @@ def begun(options: argparse.Namespace, frames, references) -> Work | None:
     out = Path(options.out)
     if out.exists() and not out.is_dir():
         raise FileError(out, "", "is a file, not a directory", "move it away or choose another directory")
+    inputs = {"frames": [frame.path for frame in frames], "references": list(references.values())}
+    _refuse_overwriting(options, frames, inputs)
     asked = _asked(options, frames, references)
     found = sequence_ledger.load(out)
     if found is None:
-        if options.resume and _is_complete(out, asked):
+        if options.resume and _is_complete(out, asked, inputs):
             return None
         return Work(options, frames, references, sequence_ledger.Ledger(asked), None)
     ledger, leaves = found
@@ -47,7 +49,6 @@ def begun(options: argparse.Namespace, frames, references) -> Work | None:
         problem = f"holds an unfinished sequence, {done} of {every} frames"
         raise FileError(out, "", problem, "give --resume to go on with it, or another directory")
     _refuse_another(out, "an unfinished", ledger.asked, asked)
-    inputs = {"frames": [frame.path for frame in frames], "references": list(references.values())}
     sequence_ledger.check_unchanged(ledger, out, inputs)
     return Work(options, frames, references, ledger, leaves)
 
@@ -63,18 +64,39 @@ def _asked(options: argparse.Namespace, frames, references) -> dict[str, Any]:
     return parse_json(json_text(asked | {"versions": versions(PACKAGES)}), options.out)
 
 
-def _is_complete(out: Path, asked: dict[str, Any]) -> bool:
-    """Whether the directory holds a whole sequence; one of other options is refused."""
+def _refuse_overwriting(options: argparse.Namespace, frames, inputs: dict[str, list[Path]]) -> None:
+    """Refuse an output directory in which an output would take the place of an input."""
+    from sssfit.files.errors import FileError
+    from sssfit.frames import sequence_output
+
+    out = Path(options.out)
+    written = {(out / name).resolve() for name in sequence_output.names([f.digits for f in frames])}
+    camera = [] if options.camera is None else [Path(options.camera)]
+    for path in [*inputs["frames"], *inputs["references"], *camera]:
+        if path.resolve() in written:
+            problem = "an output of this name would take its place, nothing was written"
+            raise FileError(path, "", problem, "give another --out")
+
+
+def _is_complete(out: Path, asked: dict[str, Any], inputs: dict[str, list[Path]]) -> bool:
+    """Whether the directory holds a whole sequence; one of other options or files is refused."""
     from sssfit.files.json_text import read_json
+    from sssfit.frames import sequence_ledger
 
     path = out / "manifest.json"
     manifest = read_json(path) if path.exists() else None
-    options = manifest.get("options") if isinstance(manifest, dict) else None
+    if not isinstance(manifest, dict):
+        return False
+    options = manifest.get("options")
     if not isinstance(options, dict) or "mode" not in options:
         return False
-    inputs = options.pop("inputs_sha256", {})
-    stated = {"options": options, "camera_sha256": inputs.get("camera"), "versions": asked["versions"]}
-    _refuse_another(out, "a complete", stated, asked)
+    digests = options.pop("inputs_sha256", {})
+    camera, stated = digests.pop("camera", None), manifest.get("versions")
+    _refuse_another(
+        out, "a complete", {"options": options, "camera_sha256": camera, "versions": stated}, asked
+    )
+    known = sequence_ledger.Ledger({}, inputs=digests, files=manifest.get("files", {}))
+    sequence_ledger.check_unchanged(known, out, inputs)
     return True
 
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from sssfit.frames import _desk, _pairs, mipmap, points, surface
+from sssfit.frames import _desk, _pairs, mipmap, points, split, surface
 from sssfit.frames.points import VERSIONS, Samples, density
 from sssfit.sampling import disk, hashes, prefilter
 
@@ -131,6 +131,10 @@ def moments_of_samples(scene, pixels, most, draw, d, camera, settings):
     totals = _accumulated(scene, pixels, most, draw, d, camera, settings, number, add)
     count = jnp.maximum(pixels.count, 1).astype(jnp.float32)
     mean, products = [total / count for total in totals[:values]], totals[values:]
+    if is_ratio and settings.split is not None:
+        # The mean of what goes beyond a pixel's own disc is weighted by its share.
+        disc = points.inner(split.radius(pixels.depth, camera), d, settings)
+        slope = [a * (1 - own) for a, own in zip(slope, disc.share, strict=True)]
     if is_ratio:
         variance = _ratio_variance(count, mean, products, pairs, slope)
     else:

@@ -34,7 +34,9 @@ def take(shape: jax.ShapeDtypeStruct, beside: Any) -> Array | None:
     if len(devices) > 1:
         return None
     (device,) = devices
-    found = _kept.pop((shape.shape, shape.dtype, device), None)
+    # An array that is bound to its device binds what is computed from it, too.
+    bound = any(leaf.committed for leaf in leaves)
+    found = _kept.pop((shape.shape, shape.dtype, device, bound), None)
     if found is not None:
         return found
     with jax.enable_x64(shape.dtype.itemsize == 8), jax.default_device(device):
@@ -45,4 +47,4 @@ def keep(array: Array) -> None:
     """Give back what was taken; the caller does not use it again."""
     (device,) = array.devices()
     _kept.clear()
-    _kept[array.shape, array.dtype, device] = array
+    _kept[array.shape, array.dtype, device, array.committed] = array

@@ -11,6 +11,7 @@ itself, in the same unit, times the share of it that scatters beyond the pixel.
 Source: Xie et al. 2020, section 3.3; Xie and Olano 2021, Algorithms 1-3; Xie 2021, section 4.4.
 """
 
+import dataclasses
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -28,7 +29,7 @@ from sssfit.frames import scatter, split, temporal
 from sssfit.frames._block import LUMINANCE
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
-from sssfit.frames.render import SEEDS
+from sssfit.frames.render import LARGEST_SEED, SEEDS
 
 #: The light around a pixel is the mean over so many by so many pixels of its profile.
 _SURROUND = 8
@@ -64,6 +65,11 @@ class Config(eqx.Module):
     def __check_init__(self):
         """Refuse what does not go together."""
         self.settings.check()
+        temporal.check_tolerance(self.depth_tolerance)
+        if isinstance(self.policy, policies.MedianFiltered):
+            raise ValueError("policy must not be MedianFiltered, which is for a line of pixels; give its own")
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise ValueError(f"seed must be from 0 to {LARGEST_SEED}, got {self.seed}")
         if not self.gamma > 0:
             raise ValueError(f"gamma must be above 0, got {self.gamma:g}")
         if self.gamma != 1 and isinstance(self.policy, policies.InFrame | policies.Oracle):
@@ -177,14 +183,16 @@ def step(state: State, frame: Frame, config: Config) -> tuple[State, Array, Info
     if isinstance(config.policy, policies.Oracle):
         seed, spp = SEEDS * config.seed + _ORACLE, config.oracle_spp
         exact = scatter.image_and_variance(frame, config.profiles, counts=spp, seed=seed, **options)[1]
+    # The programs have no use for these two, and are the same for all of them.
+    shared = dataclasses.replace(config, seed=0, oracle_spp=2)
     before = state.memory, state.depth, state.profile_id
-    counts, known = _before(*before, frame, exact, config, _uses_light(config.policy))
+    counts, known = _before(*before, frame, exact, shared, _uses_light(config.policy))
     options |= {"counts": counts, "most": _largest(config.policy), "seed": SEEDS * config.seed + _IMAGE}
     if isinstance(config.policy, policies.InFrame):
         image, variance = scatter.image_and_variance(frame, config.profiles, **options)
     else:
         image, variance = scatter.every_profile(frame, config.profiles, **options), None
-    memory, value = _after(state.memory, frame.motion, known, counts, image, variance, config)
+    memory, value = _after(state.memory, frame.motion, known, counts, image, variance, shared)
     following = State(state.number + 1, memory, frame.depth, frame.profile_id)
     return following, image, Info(counts, known.missing, value)
 

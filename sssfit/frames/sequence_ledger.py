@@ -182,7 +182,7 @@ def check_unchanged(
         known |= {path: digests[path.name] for path in paths if path.name in digests}
     for path, digest in known.items():
         if sha256_bytes(read_bytes(path)) != digest:
-            problem = "has changed since the sequence was interrupted"
+            problem = "has changed since the sequence was rendered so far"
             raise FileError(path, "", problem, "bring it back, or start over in another directory")
 
 

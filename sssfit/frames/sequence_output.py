@@ -139,6 +139,26 @@ def files(image: ArrayLike, counts: ArrayLike, digits: str, *, white: float, mos
     }
 
 
+def names(every_digits: Sequence[str]) -> list[str]:
+    """All files that a sequence writes.
+
+    Args:
+        every_digits: the frames' numbers as their names have them.
+
+    Returns:
+        Their names in the output directory.
+
+    Example:
+        >>> names(["07"])[:2]
+        ['scattered_07.exr', 'scattered_07.png']
+    """
+    kinds = ("scattered_{}.exr", "scattered_{}.png", "count_{}.exr", "count_{}.png")
+    of_all = ("csv", "png", "webp")
+    found = [kind.format(digits) for digits in every_digits for kind in kinds]
+    found += [f"sequence.{kind}" for kind in of_all]
+    return [*found, "summary.json", "manifest.json", "timing.csv"]
+
+
 def table(rows: Sequence[Row]) -> bytes:
     """The figures of all frames.
 

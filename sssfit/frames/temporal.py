@@ -212,7 +212,7 @@ def disoccluded(
         >>> disoccluded(depth, ids, depth, ids, jnp.full((1, 3, 2), jnp.array([-1.0, 0.0]))).tolist()
         [[True, False, True]]
     """
-    _check_tolerance(depth_tolerance)
+    check_tolerance(depth_tolerance)
     now, then = (depth, profile_id), (previous_depth, previous_profile_id)
     shape = jnp.shape(depth)
     names = ("depth", "profile_id", "previous_depth", "previous_profile_id")
@@ -229,7 +229,18 @@ def disoccluded(
     return lost if motion is None else lost | off_screen(motion)
 
 
-def _check_tolerance(tolerance: ArrayLike) -> None:
+def check_tolerance(tolerance: ArrayLike) -> None:
+    """Refuse a `depth_tolerance` that is known to be out of its domain; a traced one passes.
+
+    Args:
+        tolerance: as for `disoccluded`.
+
+    Raises:
+        ValueError: it is below 0 or NaN.
+
+    Example:
+        >>> check_tolerance(0.02)
+    """
     known = isinstance(tolerance, int | float | np.ndarray | np.generic)
     # Written so that NaN is refused too.
     if known and not np.all(np.asarray(tolerance) >= 0):

@@ -1,13 +1,14 @@
 """`sssfit render --mode`: bad input is one sentence and exit code 2, and what was done is kept."""
 
 import json
+import os
 
 import numpy as np
 import pytest
 
 from sssfit.cli.main import main
 from sssfit.files.exr import encode_exr, read_exr
-from sssfit.frames import sequence_ledger
+from sssfit.frames import gbuffer, sequence_ledger
 from sssfit.frames.sequence_ledger import UNFINISHED
 
 ASKED = ["--mode", "fixed", "--spp", "16"]
@@ -130,6 +131,7 @@ def test_options(frames, capsys, options, message):
     [
         (["--resume"], "--resume needs --mode"),
         (["--kappa", "0.2"], "--kappa needs --mode"),
+        (["--kappa", "0"], "--kappa needs --mode"),
         (["--white", "1"], "--white needs --mode"),
         (
             ["--reference", "FOLDER/ref_*.exr"],
@@ -230,9 +232,8 @@ def test_an_unfinished_sequence_is_not_lost_nor_mixed(folder, capsys):
     another = f"out: holds an unfinished sequence with another content of the --camera file{again}"
     assert refused(folder, capsys, *ASKED, "--resume") == another
     (folder / "camera.json").write_bytes(camera)
-    changed = (
-        "has changed since the sequence was interrupted; bring it back, or start over in another directory"
-    )
+    changed = "has changed since the sequence was rendered so far; bring it back, or start over in another"
+    changed += " directory"
     for name in ("frame_01.exr", "out/count_00.png"):
         kept = (folder / name).read_bytes()
         (folder / name).write_bytes(kept + b" ")
@@ -250,6 +251,53 @@ def test_a_complete_sequence_of_other_options(folder, capsys):
         "out: holds a complete sequence with another --seed; give what it was begun with, or another direc"
     )
     assert refused(folder, capsys, *ASKED, "--seed", "1", "--resume").startswith(message)
+
+
+def test_a_complete_sequence_of_other_files(folder, capsys):
+    assert render(folder, *ASKED) == 0
+    for name in ("frame_01.exr", "out/scattered_00.exr", "out/sequence.csv"):
+        kept = (folder / name).read_bytes()
+        (folder / name).write_bytes(kept + b" ")
+        message = f"{name}: has changed since the sequence was rendered so far; "
+        assert refused(folder, capsys, *ASKED, "--resume").startswith(message)
+        (folder / name).write_bytes(kept)
+    (folder / "out" / "count_01.png").unlink()
+    assert refused(folder, capsys, *ASKED, "--resume").startswith("out/count_01.png: ")
+
+
+def test_outputs_in_the_place_of_inputs(folder, capsys):
+    for k in range(2):
+        (folder / f"frame_0{k}.exr").rename(folder / f"scattered_0{k}.exr")
+    before = {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+    frame = str(folder / "scattered_*.exr")
+    scene = ["--camera", str(folder / "camera.json"), "--profile", "skin1", *ASKED]
+    assert main(["render", frame, *scene, "--out", str(folder), "--quiet"]) == 2
+    message = "an output of this name would take its place, nothing was written; give another --out"
+    assert f"scattered_00.exr: {message}" in capsys.readouterr().err
+    assert before == {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+
+
+def test_a_frame_rewritten_while_it_is_read(folder, capsys, monkeypatch):
+    load = gbuffer.load
+
+    def rewritten(path, *arguments, **options):
+        found = load(path, *arguments, **options)
+        os.utime(path, ns=(1, 1))
+        return found
+
+    monkeypatch.setattr(gbuffer, "load", rewritten)
+    message = "frame_00.exr: has changed while it was read; render it first, then this"
+    assert refused(folder, capsys, *ASKED) == message
+
+
+def test_a_single_frame_into_an_unfinished_sequence(folder, capsys):
+    (folder / "out").mkdir()
+    (folder / "out" / UNFINISHED).write_bytes(b"")
+    message = refused(folder, capsys, frame="frame_00.exr")
+    assert (
+        message
+        == "out: holds an unfinished sequence; finish it with --mode and --resume, or give another directory"
+    )
 
 
 def test_outputs_that_cannot_be_written(folder, capsys, monkeypatch):

@@ -170,6 +170,9 @@ def frame_of(camera):
         pytest.param(Settings(sequence="iid"), 1, marks=pytest.mark.slow),
         # The ratio of few samples is not linear in them.
         (FRESH._replace(sequence="iid", estimator="ratio"), 64),
+        pytest.param(
+            FRESH._replace(sequence="iid", estimator="ratio", split=0.0), 64, marks=pytest.mark.slow
+        ),
     ],
     ids=str,
 )

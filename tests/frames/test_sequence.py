@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sssfit.estimators import policies
-from sssfit.frames import scatter, sequence
+from sssfit.frames import _pass, scatter, sequence
 from sssfit.frames.camera import orthographic
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
@@ -161,12 +161,14 @@ def test_the_light_around_is_the_mean_of_one_profile():
 
 
 def test_nothing_is_compiled_anew():
-    programs: tuple[Any, ...] = (sequence._before, sequence._after)
+    programs: tuple[Any, ...] = (sequence._before, sequence._after, _pass._prepared, _pass._lane_alone)
+    programs += (_pass._lane_within, _pass._image, _pass._image_and_variance)
     for name in ("as", "ocv", "in_frame", "fixed"):
         list(sequence.scan(flashing()[:2], config(name)))
     before = [program._cache_size() for program in programs]
     for name in ("as", "ocv", "in_frame", "fixed"):
-        list(sequence.scan(flashing(), config(name, seed=0)))
+        counts = [np.asarray(info.counts).max() for _, info in run(flashing(), config(name, seed=5))]
+        assert name == "fixed" or counts[0] == 8 < 32 < max(counts)
     assert [program._cache_size() for program in programs] == before
 
 
@@ -213,6 +215,12 @@ def test_what_does_not_go_together_is_refused():
         config("in_frame", gamma=2.2)
     with pytest.raises(ValueError, match="^oracle_spp must be at least 2, got 1$"):
         sequence.Config(policies.named("oracle"), PROFILES, oracle_spp=1)
+    with pytest.raises(ValueError, match="^depth_tolerance must be at least 0, got -1$"):
+        sequence.Config(policies.named("as"), PROFILES, depth_tolerance=-1)
+    with pytest.raises(ValueError, match="^seed must be from 0 to 4194303, got -1$"):
+        config("as", seed=-1)
+    with pytest.raises(ValueError, match="^policy must not be MedianFiltered, which is for a line of pixels"):
+        sequence.Config(policies.MedianFiltered(policies.named("as")), PROFILES)
     state = sequence.init(frame(), config())
     small = frame()._replace(depth=jnp.ones((3, 4)))
     with pytest.raises(ValueError, match="^frame must have the size of those before it, 40 x 24, got 4 x 3$"):

@@ -69,6 +69,12 @@ def test_results_that_nobody_has_waited_for_are_not_written_over(kept, monkeypat
         np.testing.assert_array_equal(run(light), result)
 
 
+def test_a_device_that_one_caller_chose_does_not_bind_the_next(kept):
+    light = jax.device_put(frame(0), jax.devices()[0])
+    assert run(light).committed
+    assert not run(frame(0)).committed
+
+
 def test_threads_do_not_share_a_scene(kept):
     lights = [frame(seed) for seed in range(16)]
     wanted = [np.asarray(run(light)) for light in lights]
