@@ -128,8 +128,9 @@ def draw_flash(tracks: dict[str, Track], light: np.ndarray) -> None:
 
 # --- a scene that stands still
 
-STATIC_TARGETS, STATIC_MOST, STATIC_FIXED = (3e-4, 1e-3, 3e-3), (64, 128, 512), 64
-STATIC_FRAMES, STATIC_LAST, STATIC_ROUNDS = 24, 4, 9
+STATIC_TARGETS, STATIC_MOST = (3e-4, 1e-3, 3e-3), (64, 512)
+STATIC_EQUAL, STATIC_FIXED = (8, 16, 32, 64), 64
+STATIC_FRAMES, STATIC_LAST, STATIC_ROUNDS = 24, 4, 25
 
 
 class Static(NamedTuple):
@@ -145,7 +146,7 @@ def study_static() -> None:
     head = scene("s2_head", "skin1")
     frame = head.frame._replace(profile_id=jnp.asarray(head.mask).astype(jnp.int32))
     of = Static(frame, {1: head.d}, head.mask, many_samples(frame, {1: head.d}))
-    rows = [static_row(of, f"fixed {STATIC_FIXED}", "", "", policies.named("fixed", spp=STATIC_FIXED))]
+    rows = [static_row(of, f"fixed {spp}", "", "", policies.named("fixed", spp=spp)) for spp in STATIC_EQUAL]
     for most in STATIC_MOST:
         for target in STATIC_TARGETS:
             for name, options in {
