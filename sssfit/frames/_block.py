@@ -77,7 +77,8 @@ def pixels_of(segment, per_row, seen, counts, random, settings, keep):
 
     count = jnp.where(valid, own(counts), 0)
     away = jnp.where(count > 0, own(depth), 1)
-    middle = column + 0.5, row + 0.5
+    # Whole numbers and a half would be float64 where that is on.
+    middle = column.astype(jnp.float32) + 0.5, row.astype(jnp.float32) + 0.5
     position = camera.coordinates(*middle, away)
     words = keep(hashes.pcg3d(column, row, random.seed + random.frame * jnp.uint32(0x9E3779B9)))
     first, second, facing = _axes(settings, camera, words, middle, own, normal, keep)
@@ -98,7 +99,7 @@ def _axes(settings, camera, words, middle, own, normal, keep):
     column, row = middle
     facing = surface.facing(normal, column, row, camera)
     usable = facing >= surface.MIN_COSINE
-    toward = jnp.where(usable[..., None], normal, jnp.array([0.0, 0.0, 1.0]))
+    toward = jnp.where(usable[..., None], normal, jnp.array([0.0, 0.0, 1.0], normal.dtype))
     first, second = (tuple(jnp.moveaxis(axis, -1, 0)) for axis in disk.basis(toward))
     if turned:
         cosine, sine = turned

@@ -135,6 +135,11 @@ def init(frame: Frame, config: Config) -> State:
         frame: any of the sequence, for its size.
         config: see `Config`.
 
+    Returns:
+        A state of number 0 in which every pixel is missing.
+
+    Source: Xie et al. 2020, section 4.1.3, the cold start.
+
     Example:
         >>> from sssfit.frames import procedural
         >>> frame = procedural.frame(width=64, height=36)
@@ -149,7 +154,7 @@ def init(frame: Frame, config: Config) -> State:
 
 
 def step(state: State, frame: Frame, config: Config) -> tuple[State, Array, Info]:
-    """One frame.
+    """One frame. It runs from the host, where the profiles' ids are looked at, and not under `jax.jit`.
 
     Args:
         state: from `init`, or after the frame before, of the same size.
@@ -212,6 +217,8 @@ def scan(
 
     Raises:
         ValueError: as `step`.
+
+    Source: as this module.
 
     Example:
         >>> from sssfit.frames import procedural

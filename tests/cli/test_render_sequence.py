@@ -96,6 +96,8 @@ def test_files_and_manifest(folder):
     written = contents(folder / "ocv")
     each = {kind.format(f"0{k}") for k in range(FRAMES) for kind in KINDS}
     assert set(written) == each | WHOLE - {"timing.csv"}
+    digits = [f"0{k}" for k in range(FRAMES)]
+    assert set(sequence_output.names(digits)) == {path.name for path in (folder / "ocv").iterdir()}
     manifest = json.loads(written.pop("manifest.json"))
     listed = {name: entry["sha256"] for name, entry in manifest["files"].items()}
     assert listed == {name: hashlib.sha256(data).hexdigest() for name, data in written.items()}

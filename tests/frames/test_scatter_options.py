@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sssfit.frames import scatter, split
+from sssfit.frames import procedural, scatter, split
 from sssfit.frames.camera import orthographic, perspective
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
@@ -237,3 +237,27 @@ def test_float64_beside_it_changes_nothing():
         wide = scatter.scatter(LIGHT, DEPTH, CAMERA, d=D, counts=few, settings=settings)
     assert wide.dtype == np.float32
     np.testing.assert_array_equal(wide, found)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(),
+        Settings(plane="tangent", estimator="ratio", points="fresh"),
+        pytest.param(Settings(plane="tangent"), marks=pytest.mark.slow),
+        pytest.param(Settings(points="fresh", split=0.01), marks=pytest.mark.slow),
+        pytest.param(Settings(prefilter=1.0), marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_float64_beside_it_changes_no_surface(settings):
+    scene, profiles = procedural.frame(width=64, height=36), {1: (1.0, 0.5, 0.3), 2: None}
+    found = scatter.image_and_variance(scene, profiles, counts=16, settings=settings)
+    with jax.enable_x64(True):
+        wide = scatter.image_and_variance(scene, profiles, counts=16, settings=settings)
+    for one, other in zip(found, wide, strict=True):
+        assert other.dtype == np.float32
+        # Places are then rounded at other steps: three times by half a unit of 2^(6 - 24) pixels on either
+        # side of an edge, in two directions, for 16 samples: so many pixels may have a sample beyond one.
+        off = np.abs(np.asarray(one) - np.asarray(other)) / np.abs(np.asarray(one)).max()
+        assert np.mean(off > 2.0**-18) <= 2 * 3 * 2.0**-18 * 16

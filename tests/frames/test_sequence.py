@@ -199,6 +199,34 @@ def test_pixels_without_distant_light_draw_none():
     np.testing.assert_array_equal(image, TEXTURE)
 
 
+def test_float64_beside_it_and_a_single_pixel():
+    tiny = frame()
+    names = ("irradiance", "depth", "profile_id")
+    tiny = tiny._replace(**{n: getattr(tiny, n)[:1, :1] for n in names}, camera=orthographic(1, 1, 0.2))
+    for each in (frame(), tiny):
+        for name in ("ocv", "in_frame"):
+            with jax.enable_x64(True):
+                ((image, info), _) = run([each] * 2, config(name))
+            assert image.dtype == np.float32 and info.value.dtype == np.float32
+            assert np.isfinite(image).all() and np.asarray(info.counts).min() >= 8
+
+
+@pytest.mark.parametrize("name", ["as", "ocv", "in_frame"])
+def test_a_nan_is_forgotten_with_the_frame_that_has_it(name):
+    broken = TEXTURE.copy()
+    broken[10, 20] = np.nan
+    chosen = config(name, target_variance=1.0)
+    found = run([frame(), frame(light=broken), frame(), frame()], chosen)
+    assert not np.isfinite(found[1][0]).all()
+    for image, info in found[2:]:
+        # What had a NaN in it starts afresh, with the least count.
+        assert np.isfinite(image).all() and np.all(np.asarray(info.counts) == 8)
+    motion = np.zeros((H, W, 2), np.float32)
+    motion[3, 4] = np.nan
+    lost = run([frame(), frame()._replace(motion=jnp.asarray(motion))], chosen)[1][1].missing
+    np.testing.assert_array_equal(np.argwhere(np.asarray(lost)), [[3, 4]])
+
+
 def test_frames_in_which_nothing_scatters():
     black = frame(light=np.zeros((H, W, 3), np.float32))
     for chosen in (config("ocv"), config("in_frame")):
