@@ -255,9 +255,14 @@ def test_float64_beside_it_changes_no_surface(settings):
     found = scatter.image_and_variance(scene, profiles, counts=16, settings=settings)
     with jax.enable_x64(True):
         wide = scatter.image_and_variance(scene, profiles, counts=16, settings=settings)
+    # Places are then rounded at other steps: three times by half a unit of 2^(6 - 24) pixels on either side of
+    # an edge, in two directions, for 16 samples: so many pixels may have a sample beyond one.
+    least, share = 2.0**-18, 2 * 3 * 2.0**-18 * 16
+    if settings.plane == "tangent":
+        # A sample's depth, with a unit of 2^(9 - 24) mm, is rounded, too, and its weight goes with distance:
+        # it changes by more where that is below 0.01 mm, of which the profile's density has so many.
+        least, share = 3 * 2.0**-16 / 0.01 / 16, 16 * 0.01 * np.mean(0.5 / np.array(profiles[1]))
     for one, other in zip(found, wide, strict=True):
         assert other.dtype == np.float32
-        # Places are then rounded at other steps: three times by half a unit of 2^(6 - 24) pixels on either
-        # side of an edge, in two directions, for 16 samples: so many pixels may have a sample beyond one.
         off = np.abs(np.asarray(one) - np.asarray(other)) / np.abs(np.asarray(one)).max()
-        assert np.mean(off > 2.0**-18) <= 2 * 3 * 2.0**-18 * 16
+        assert np.mean(off > least) <= share
