@@ -255,8 +255,8 @@ def test_float64_beside_it_changes_no_surface(settings):
     found = scatter.image_and_variance(scene, profiles, counts=16, settings=settings)
     with jax.enable_x64(True):
         wide = scatter.image_and_variance(scene, profiles, counts=16, settings=settings)
-    # Places are then rounded at other steps: three times by half a unit of 2^(6 - 24) pixels on either side of
-    # an edge, in two directions, for 16 samples: so many pixels may have a sample beyond one.
+    # Places are then rounded at other steps: three times by half a unit of 2^(6 - 24) pixels on either side
+    # of an edge, in two directions, for 16 samples: so many pixels may have a sample beyond one.
     least, share = 2.0**-18, 2 * 3 * 2.0**-18 * 16
     if settings.plane == "tangent":
         # A sample's depth, with a unit of 2^(9 - 24) mm, is rounded, too, and its weight goes with distance:
