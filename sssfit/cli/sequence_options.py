@@ -107,10 +107,14 @@ def spp(options: argparse.Namespace) -> str:
 def policy(options: argparse.Namespace) -> Any:
     """Who decides the counts."""
     from sssfit.estimators import policies
+    from sssfit.frames import sequence
 
     least, most = bounds(options)
     given = {name: getattr(options, name) for name in ("target_variance", "alpha", "kappa", "light")}
     given = {name: value for name, value in given.items() if value is not None}
+    if options.mode == "in_frame" and render_options.settings(options).sequence != "iid":
+        # Evenly spread points vary less than what the spread inside a frame tells.
+        given["gain_alpha"] = sequence.GAIN_ALPHA
     return policies.named(options.mode, min_spp=least, max_spp=most, spp=most, **given)
 
 
@@ -142,6 +146,7 @@ def constants(options: argparse.Namespace) -> dict[str, Any]:
         "light": getattr(decides, "light", None),
     }
     found = {name: value if options.mode in _BELONGS[name] else None for name, value in found.items()}
+    found["gain_alpha"] = getattr(controller, "gain_alpha", None)
     asked = {"mode": options.mode, "target_variance": options.target_variance}
     return asked | {"min_spp": least, "max_spp": most} | found
 

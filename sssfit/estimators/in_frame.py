@@ -65,18 +65,22 @@ class Gain(eqx.Module):
     """What is remembered of the frames' results, for the gain.
 
     Attributes:
-        mean: moving mean of the result over sqrt(G^2 + target).
-        temporal: fading sum of squared deviations from what that mean foretold.
-        spatial: fading sum of the variances that independent samples would have given the result.
+        previous: the last result over sqrt(G^2 + target).
+        previous_count: the samples that it is the mean of.
+        temporal: fading sum of half the squared differences of a result from the one before, times the
+            harmonic mean of both counts. Were samples independent, each had a sample's variance for its mean,
+            from the second frame on, and whatever drifts slowly.
+        spatial: fading sum of the samples' variances inside the frames.
     """
 
-    mean: Array
+    previous: Array
+    previous_count: Array
     temporal: Array
     spatial: Array
 
 
 class History(eqx.Module):
-    """What a pixel remembers: four numbers of its shape, seven with a gain.
+    """What a pixel remembers: four numbers of its shape, eight with a gain.
 
     Attributes:
         square_deviation: fading sum of the samples' squared deviations from their frame's mean, in units of
@@ -105,7 +109,7 @@ def init(like: ArrayLike, controller: Controller, *, dtype: DTypeLike | None = N
 
     Args:
         like: anything of the pixels' shape and dtype.
-        controller: the constants; with a gain_alpha there are seven numbers.
+        controller: the constants; with a gain_alpha there are eight numbers.
         dtype: what to keep the history in, such as jnp.float16; that of `like` by default. Half precision
             ends at 65504: where the samples' variance is some thousand times G^2 + target, the sums stay
             there, the counts are at their upper bound, and `safety` is lost.
@@ -115,7 +119,8 @@ def init(like: ArrayLike, controller: Controller, *, dtype: DTypeLike | None = N
         0.0
     """
     zero = jnp.zeros(jnp.shape(like), jnp.result_type(float, like) if dtype is None else dtype)
-    return History(zero, zero, zero, zero, None if controller.gain_alpha is None else Gain(zero, zero, zero))
+    gain = None if controller.gain_alpha is None else Gain(zero, zero, zero, zero)
+    return History(zero, zero, zero, zero, gain)
 
 
 def sample_variance(history: History, control: ArrayLike, controller: Controller) -> Array:
@@ -179,7 +184,8 @@ def sequence_gain(history: History) -> Array:
         In [0, 1], of the history's shape; 1 without a gain in the history, and where nothing is known.
         A sequence is never taken to be worse than independent samples: what exceeds 1 is light that moves.
 
-    Source: derived here.
+    Source: von Neumann, "Distribution of the ratio of the mean square successive difference to the
+    variance", 1941, for the variance over time.
 
     Example:
         >>> float(sequence_gain(init(0.0, Controller(1e-3, gain_alpha=0.02))))
@@ -287,13 +293,12 @@ def update(
     unforeseen = jnp.sqrt(2 / degrees) * relative
     surprise = jnp.where(old.degrees > 0, relative - degrees * _relative_variance(old), unforeseen)
     fade = 1 - jnp.asarray(controller.alpha, wide)
-    independent = relative / (degrees * jnp.maximum(count, 1))
     new = History(
         fade * old.square_deviation + relative,
         fade * old.degrees + degrees,
         fade * old.lit_degrees + degrees * lit,
         jnp.square(fade) * old.uncertainty + jnp.square(surprise),
-        _gain_after(old, mean / jnp.sqrt(scale), independent, controller),
+        _gain_after(old, mean / jnp.sqrt(scale), relative / degrees, jnp.maximum(count, 1), controller),
     )
     new = jax.tree.map(lambda v: _recursion.within(v, kept).astype(kept), new)
     lost = ~(jnp.isfinite(mean) & jnp.isfinite(square_deviation) & jnp.isfinite(control))
@@ -324,27 +329,31 @@ def _relative_variance(history: History) -> Array:
     return jnp.where(degrees > 0, total / jnp.where(degrees > 0, degrees, 1), total)
 
 
-def _gain_after(old: History, relative: Array, independent: Array, controller: Controller) -> Gain | None:
-    """The gain's memory after a frame's result, in units of its scale's root.
+def _gain_after(
+    old: History, result: Array, variance: Array, count: Array, controller: Controller
+) -> Gain | None:
+    """The gain's memory after a frame, all in units of its scale.
 
     Args:
         old: before the frame.
-        relative: the result.
-        independent: variance that it would have, were its samples independent.
+        result: the samples' mean.
+        variance: of one sample, from the frame alone.
+        count: of samples.
         controller: the constants.
     """
     if controller.gain_alpha is None:
         return old.gain
     if old.gain is None:
         raise ValueError("history must keep a gain for a controller with a gain_alpha; init it with that one")
-    alpha, gain_alpha = (jnp.asarray(v, relative.dtype) for v in (controller.alpha, controller.gain_alpha))
+    keep = 1 - jnp.asarray(controller.gain_alpha, result.dtype)
     is_first = old.degrees == 0
-    surprise = relative - old.gain.mean
-    # The moving mean errs itself: of independent results it adds alpha / (2 - alpha) of their variance.
-    temporal = jnp.square(surprise) * (1 - alpha / 2)
-    prior = _PRIOR_FRAMES * independent
+    before = jnp.maximum(old.gain.previous_count, 1)
+    # Half a squared difference has the mean of both results' variances.
+    temporal = jnp.square(result - old.gain.previous) / (1 / count + 1 / before)
+    prior = _PRIOR_FRAMES * variance
     return Gain(
-        jnp.where(is_first, relative, old.gain.mean + alpha * surprise),
-        jnp.where(is_first, prior, (1 - gain_alpha) * old.gain.temporal + temporal),
-        jnp.where(is_first, prior, (1 - gain_alpha) * old.gain.spatial + independent),
+        result,
+        count,
+        jnp.where(is_first, prior, keep * old.gain.temporal + temporal),
+        jnp.where(is_first, prior, keep * old.gain.spatial + variance),
     )

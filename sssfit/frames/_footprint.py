@@ -1,9 +1,10 @@
 """The pixels that a lookup between pixels looks at, and their weights; what `temporal` is made of."""
 
 from collections.abc import Callable, Sequence
-from functools import reduce
-from typing import NamedTuple
+from functools import partial, reduce
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -60,6 +61,44 @@ def pixels(values: Array, row: Array, column: Array) -> Array:
     """Values at pixels; beyond the frame those of its edge."""
     height, width = values.shape[:2]
     return values[jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)]
+
+
+# Two programs: in one, XLA computes the places anew for each array, number by number, and that takes seven
+# times as long as to look up places that are an array of their own.
+@jax.jit
+def nearest_place(motion: ArrayLike) -> Array:
+    """Which pixel each pixel's point was in, counted along the rows; beyond the frame one of its edge."""
+    row, column = place(motion).nearest()
+    height, width = row.shape
+    return jnp.clip(row, 0, height - 1) * width + jnp.clip(column, 0, width - 1)
+
+
+def look_up(history: Any, place: Array, spare: Any = None) -> Any:
+    """What a tree of arrays (H, W, ...) holds at `nearest_place`.
+
+    Args:
+        history: the tree.
+        place: (H, W).
+        spare: a tree of the same arrays, used up: memory for the result. By default that is new.
+
+    Raises:
+        ValueError: an array has other pixels than the places.
+    """
+    history = jax.tree.map(jnp.asarray, history)
+    for leaf in jax.tree.leaves(history):
+        if leaf.shape[:2] != place.shape:
+            size = f"({place.shape[0]}, {place.shape[1]}, ...)"
+            raise ValueError(f"history must have the motion's shape {size}, got {leaf.shape}")
+    return _looked_up(spare, history, place)
+
+
+@partial(jax.jit, donate_argnames="spare", keep_unused=True)
+def _looked_up(spare: Any, history: Any, place: Array) -> Any:
+    def found(values: Array) -> Array:
+        flat = values.reshape(place.size, *values.shape[2:])
+        return flat.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+    return jax.tree.map(found, history)
 
 
 def footprint(

@@ -1,16 +1,13 @@
 """A pass over a frame: blocks of segments with like counts, each through the program of `_block`."""
 
 import functools
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
-import jax.core
 import jax.numpy as jnp
 from jax import Array
 
-from sssfit.frames import _block, _desk, _order, _pairs, _spare, mipmap, points, split, surface
+from sssfit.frames import _block, _desk, _lanes, _order, _pairs, _spare, mipmap, points, split, surface
 from sssfit.frames.camera import Camera
 from sssfit.frames.points import VERSIONS, Settings
 
@@ -65,44 +62,23 @@ def moments(
     return _image_and_variance(parts, counts, places, seen, d, settings)
 
 
-def lanes() -> int:
-    """How many blocks run at once: one for each core of a CPU, a single one elsewhere."""
-    return min(os.cpu_count() or 1, 8) if jax.default_backend() == "cpu" else 1
-
-
-def _is_traced(leaf) -> bool:
-    return isinstance(leaf, jax.core.Tracer)
-
-
 def _every_block(program, seen, counts, d, random, settings, rows):
     """Each lane's results; the counts of the pixels that are sampled, and where the results lie."""
-    number = lanes()
-    traced = any(map(_is_traced, jax.tree.leaves((seen, counts, d, random))))
-    spare = None if traced else _spare.take(jax.eval_shape(_scene, seen, settings).layers, (seen, counts, d))
+    number, traced = _lanes.number(), _lanes.is_traced((seen, counts, d, random))
+    wanted = None if traced else jax.eval_shape(_scene, seen, settings).layers
+    spare = None if traced else _spare.take("scene", wanted, (seen, counts, d))
     prepared = _prepared(spare, seen, counts, d, random, settings, rows, number)
-    wide = jax.config.read("jax_enable_x64")
 
     def lane(first, compiled):
         return compiled(program, prepared, first, seen, d, random, settings, number)
 
-    def alone(first):
-        # A thread has a configuration of its own. It waits for its lane: else it might begin a second one,
-        # and of the programs that a thread begins each waits for the one before.
-        with jax.enable_x64(wide):
-            return jax.block_until_ready(lane(first, _lane_alone))
-
     if number == 1 or traced:
         parts = [lane(first, _lane_within) for first in range(number)]
     else:
-        parts = list(_threads().map(alone, range(number)))
+        parts = _lanes.at_once(lambda first: lane(first, _lane_alone), number)
     if spare is not None:
-        _spare.keep(prepared.scene.layers)
+        _spare.keep("scene", prepared.scene.layers)
     return parts, prepared.counts, prepared.places
-
-
-@functools.cache
-def _threads():
-    return ThreadPoolExecutor(lanes(), thread_name_prefix="sssfit-lane")
 
 
 @functools.partial(

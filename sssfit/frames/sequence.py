@@ -12,7 +12,6 @@ Source: Xie et al. 2020, section 3.3; Xie and Olano 2021, Algorithms 1-3; Xie 20
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -24,16 +23,16 @@ from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 
 from sssfit.estimators import policies
-from sssfit.estimators.policies import Known, Policy, Sampled
-from sssfit.frames import scatter, split, temporal
-from sssfit.frames._block import LUMINANCE
+from sssfit.estimators.policies import Known, Policy
+from sssfit.frames import _footprint, _guidance, _learning, _spare, scatter, temporal
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
 from sssfit.frames.render import LARGEST_SEED, SEEDS
 
-#: The light around a pixel is the mean over so many by so many pixels of its profile.
-_SURROUND = 8
 _IMAGE, _ORACLE = 0, 1
+#: Weight of the newest frame in the gain of `policies.InFrame`, for points of low discrepancy. It is larger than
+#: a pixel's alone, since the gain is that of 8 by 8 pixels.
+GAIN_ALPHA = 0.1
 
 
 class Config(eqx.Module):
@@ -124,8 +123,7 @@ def luminance(image: ArrayLike) -> Array:
         >>> float(luminance(jnp.ones(3))).__round__(6)
         1.0
     """
-    image = jnp.asarray(image)
-    return sum(share * image[..., c] for c, share in enumerate(LUMINANCE))  # pyright: ignore
+    return _guidance.luminance(jnp.asarray(image))
 
 
 def init(frame: Frame, config: Config) -> State:
@@ -149,17 +147,23 @@ def init(frame: Frame, config: Config) -> State:
     """
     shape = jnp.shape(frame.depth)
     memory = config.policy.init(jnp.zeros(shape, config.history_dtype))
+    # Arrays of their own, which can be written over.
+    memory = jax.tree.map(jnp.copy, memory)
     # No pixel has this id: all are new.
     return State(0, memory, jnp.ones(shape, jnp.float32), jnp.full(shape, -1, jnp.int32))
 
 
-def step(state: State, frame: Frame, config: Config) -> tuple[State, Array, Info]:
+def step(
+    state: State, frame: Frame, config: Config, *, spare: State | None = None
+) -> tuple[State, Array, Info]:
     """One frame. It runs from the host, where the profiles' ids are looked at, and not under `jax.jit`.
 
     Args:
         state: from `init`, or after the frame before, of the same size.
         frame: see `gbuffer.Frame`; without motion, everything is taken to be where it was.
         config: the same in all frames of a sequence, up to its numbers.
+        spare: a state of the same sequence that nobody needs any more, such as the one before `state`. Its
+            memory is written over, which takes less time than to ask for new: it cannot be used afterwards.
 
     Returns:
         The state after it; the image, (H, W, 3), as `scatter.every_profile` gives it; and an `Info`. Nothing
@@ -183,23 +187,55 @@ def step(state: State, frame: Frame, config: Config) -> tuple[State, Array, Info
         raise ValueError(
             f"frame must have the size of those before it, {columns} x {rows}, got {width} x {height}"
         )
+    if spare is state:
+        raise ValueError("spare must be another state than the one that the step begins with")
+    seeds = SEEDS * config.seed
     options: dict[str, Any] = {"settings": config.settings, "number": state.number}
     exact = jnp.float32(0)
     if isinstance(config.policy, policies.Oracle):
-        seed, spp = SEEDS * config.seed + _ORACLE, config.oracle_spp
-        exact = scatter.image_and_variance(frame, config.profiles, counts=spp, seed=seed, **options)[1]
+        spp = config.oracle_spp
+        exact = scatter.image_and_variance(
+            frame, config.profiles, counts=spp, seed=seeds + _ORACLE, **options
+        )[1]
+    memory, missing = _looked_up(state, frame, config.depth_tolerance)
     # The programs have no use for these two, and are the same for all of them.
     shared = dataclasses.replace(config, seed=0, oracle_spp=2)
-    before = state.memory, state.depth, state.profile_id
-    counts, known = _before(*before, frame, exact, shared, _uses_light(config.policy))
-    options |= {"counts": counts, "most": _largest(config.policy), "seed": SEEDS * config.seed + _IMAGE}
+    known, sampled = _guidance.known(frame, exact, missing, shared, _guidance.light_of(config.policy))
+    counts = _counts(config.policy, memory, known, sampled)
+    options |= {"counts": counts, "most": _largest(config.policy), "seed": seeds + _IMAGE}
     if isinstance(config.policy, policies.InFrame):
         image, variance = scatter.image_and_variance(frame, config.profiles, **options)
     else:
         image, variance = scatter.every_profile(frame, config.profiles, **options), None
-    memory, value = _after(state.memory, frame.motion, known, counts, image, variance, shared)
-    following = State(state.number + 1, memory, frame.depth, frame.profile_id)
-    return following, image, Info(counts, known.missing, value)
+    value = _guidance.measured(image, config.gamma)
+    spare = None if spare is None else spare.memory
+    new = _learning.after(config.policy, memory, known, counts, value, variance, spare)
+    if frame.motion is not None:
+        _spare.keep("memory", memory)
+    following = State(state.number + 1, new, frame.depth, frame.profile_id)
+    return following, image, Info(counts, missing, value)
+
+
+def _looked_up(state: State, frame: Frame, depth_tolerance: ArrayLike) -> tuple[Any, Array]:
+    """What was remembered of the pixels' points, and of which nothing was."""
+    now, then = (frame.depth, frame.profile_id), (state.depth, state.profile_id)
+    if frame.motion is None:
+        return state.memory, _missing(now, then, None, depth_tolerance)
+    place = _footprint.nearest_place(frame.motion)
+    found = {}
+    for use, history in {"seen": then, "memory": state.memory}.items():
+        found[use] = _footprint.look_up(history, place, _spare.take(use, history, (history, place)))
+    missing = _missing(now, found["seen"], frame.motion, depth_tolerance)
+    _spare.keep("seen", found["seen"])
+    return found["memory"], missing
+
+
+@jax.jit
+def _missing(now: tuple, seen: tuple, motion: Array | None, depth_tolerance: ArrayLike) -> Array:
+    """As `temporal.disoccluded`; what was seen at the points is looked up."""
+    (depth, number), (seen_depth, seen_number) = now, seen
+    lost = temporal.disoccluded(depth, number, seen_depth, seen_number, None, depth_tolerance=depth_tolerance)
+    return lost if motion is None else lost | temporal.off_screen(motion)
 
 
 def scan(
@@ -213,7 +249,8 @@ def scan(
         state: after an earlier part of the sequence; None to begin.
 
     Yields:
-        What `step` returns.
+        What `step` returns. A state can be used until the second one after it is asked for, which is written
+        over it: copy those that are to stay.
 
     Raises:
         ValueError: as `step`.
@@ -227,86 +264,20 @@ def scan(
         >>> [state.number for state, image, info in scan(frames, config)]
         [1, 2, 3]
     """
+    before, given = None, state
     for frame in frames:
-        state, image, info = step(init(frame, config) if state is None else state, frame, config)
+        now = init(frame, config) if state is None else state
+        state, image, info = step(now, frame, config, spare=before)
+        # The caller's own is not to be written over.
+        before = None if now is given else now
         yield state, image, info
 
 
-@functools.partial(jax.jit, static_argnames="uses_light")
-def _before(
-    memory, depth, profile_id, frame: Frame, exact: Array, config: Config, uses_light: bool
-) -> tuple[Array, Known]:
-    """How many samples the pixels draw, and what is known of them."""
-    missing = temporal.disoccluded(
-        frame.depth, frame.profile_id, depth, profile_id, frame.motion, depth_tolerance=config.depth_tolerance
-    )
-    sampled, control, surround = jnp.zeros(missing.shape, bool), jnp.float32(0), jnp.float32(0)
-    light = _measured(frame.irradiance, config)
-    for number, d in config.profiles.items():
-        if number == 0 or d is None:
-            continue
-        here = frame.profile_id == number
-        widest = jnp.max(jnp.asarray(d, jnp.float32), keepdims=True)
-        scattered = here & (widest > 0)
-        split_at = config.settings.split
-        if split_at is not None or uses_light:
-            depth = jnp.where(here, frame.depth, 1)
-            d = jnp.where(widest > 0, widest, 1)
-            share = split.distant_share(depth, frame.camera, d, config.settings)
-            scattered &= share >= (0 if split_at is None else split_at)
-            if uses_light:
-                control = jnp.where(here, share * light, control)
-                if getattr(config.policy, "light", None) == "surround":
-                    surround = jnp.where(here, share * _surround(light, here), surround)
-        sampled |= scattered
-    known = Known(control, surround, exact, missing)
-    memory = temporal.nearest(memory, frame.motion)
-    return jnp.where(sampled, config.policy.count(memory, known), 0), known
-
-
 @jax.jit
-def _after(memory, motion, known: Known, counts, image, variance, config: Config) -> tuple[Any, Array]:
-    """What is remembered after the frame, and what was learned from."""
-    # Looked up again rather than kept: that takes less time than to write it and read it.
-    memory = temporal.nearest(memory, motion)
-    value = _measured(image, config)
-    deviation = jnp.zeros_like(value) if variance is None else variance * jnp.maximum(counts - 1, 0)
-    memory, _ = config.policy.learn(memory, known, Sampled(counts, value, deviation))
-    return memory, value
-
-
-def _measured(image: Array, config: Config) -> Array:
-    """Luminance / pi of what leaves the surface, to the power asked for."""
-    linear = luminance(image) / jnp.pi
-    return linear if config.gamma == 1 else jnp.maximum(linear, 0) ** (1 / config.gamma)
-
-
-def _surround(light: Array, mask: Array) -> Array:
-    """The mean light around the pixels of one profile, 0 where there are none."""
-    height, width = light.shape
-    sums = [
-        jnp.pad(v, ((0, -height % _SURROUND), (0, -width % _SURROUND)))
-        for v in (jnp.where(mask, light, 0), mask)
-    ]
-    for axis in (0, 1):
-        sums = [jnp.sum(_cut(v, axis), axis=axis + 1, dtype=jnp.float32) for v in sums]
-    mean = jnp.where(sums[1] > 0, sums[0] / jnp.where(sums[1] > 0, sums[1], 1), 0)
-    return jnp.repeat(jnp.repeat(mean, _SURROUND, 0), _SURROUND, 1)[:height, :width]
-
-
-def _cut(values: Array, axis: int) -> Array:
-    """An axis in pieces of the size that the light is averaged over."""
-    shape = list(values.shape)
-    shape[axis : axis + 1] = [shape[axis] // _SURROUND, _SURROUND]
-    return values.reshape(shape)
-
-
-def _uses_light(policy: Any) -> bool:
-    """Whether anything depends on the light that is known before."""
-    if isinstance(policy, policies.Adaptive):
-        constant = policy.config.constant
-        return not (isinstance(constant, int | float) and constant == 0)
-    return not isinstance(policy, policies.Fixed | policies.Oracle)
+def _counts(policy: Any, memory: Any, known: Known, sampled: Array) -> Array:
+    """How many samples the pixels draw."""
+    memory = _guidance.pooled(memory, sampled & ~known.missing)
+    return jnp.where(sampled, policy.count(memory, known), 0)
 
 
 def _largest(policy: Any) -> int:

@@ -16,7 +16,6 @@ Salvi, "A survey of temporal antialiasing techniques", 2020, section 3.
 from functools import reduce
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -47,17 +46,7 @@ def nearest(history: Any, motion: ArrayLike | None) -> Any:
         >>> nearest(history, jnp.full((1, 4, 2), jnp.array([1.4, 0.0]))).tolist()
         [[1.0, 2.0, 3.0, 3.0]]
     """
-    if motion is None:
-        return history
-    row, column = _footprint.place(motion).nearest()
-
-    def moved(leaf: ArrayLike) -> Array:
-        if jnp.shape(leaf)[:2] != row.shape:
-            size = f"({row.shape[0]}, {row.shape[1]}, ...)"
-            raise ValueError(f"history must have the motion's shape {size}, got {jnp.shape(leaf)}")
-        return _footprint.pixels(jnp.asarray(leaf), row, column)
-
-    return jax.tree.map(moved, history)
+    return history if motion is None else _footprint.look_up(history, _footprint.nearest_place(motion))
 
 
 def bilinear(image: ArrayLike, motion: ArrayLike | None, *, mask: ArrayLike | None = None) -> Array:

@@ -36,7 +36,7 @@ def history(*numbers, dtype: Any = np.float32, gain: Any = None):
 
 
 def usual(dtype: Any = np.float32, gain=False):
-    return history(*USUAL, dtype=dtype, gain=(1.0, 0.02, 0.05) if gain else None)
+    return history(*USUAL, dtype=dtype, gain=(1.0, 16.0, 0.02, 0.05) if gain else None)
 
 
 def frames(seed, dtype: Any = np.float64):
@@ -68,34 +68,31 @@ def faded(values, keep):
 
 
 def expected_numbers(mean, deviation, count, control, *, target, alpha, gain_alpha):
-    """Of one pixel, all seven numbers by explicit sums, and what rounding in `uncertainty` is relative to."""
+    """Of one pixel, all eight numbers by explicit sums, and what rounding in `uncertainty` is relative to."""
     learned = count >= 2
     mean, deviation, count, control = (
         np.asarray(v, float)[learned] for v in (mean, deviation, count, control)
     )
     if not learned.any():
-        return np.zeros(7), 0.0
+        return np.zeros(8), 0.0
     scale, degrees, keep = control**2 + target, count - 1, 1 - alpha
     relative, result = deviation / scale, mean / np.sqrt(scale)
     foreseen = np.array([faded(relative[:i], keep) / faded(degrees[:i], keep) for i in range(1, len(count))])
     surprise = np.concatenate(
         [[np.sqrt(2 / degrees[0]) * relative[0]], relative[1:] - degrees[1:] * foreseen]
     )
-    # The moving mean's first value has what is left of all weights.
-    weighted = [
-        faded(np.concatenate([[result[0]], alpha * result[1:i]]), keep) for i in range(1, len(count) + 1)
-    ]
-    independent = relative / (degrees * count)
-    jumps = np.square(result[1:] - weighted[:-1]) * (1 - alpha / 2)
+    variance = relative / degrees
+    jumps = np.square(np.diff(result)) / 2 * 2 / (1 / count[1:] + 1 / count[:-1])
     forget = 1 - gain_alpha
     numbers = [
         faded(relative, keep),
         faded(degrees, keep),
         faded(degrees * control**2 / scale, keep),
         faded(surprise**2, keep**2),
-        weighted[-1],
-        faded(np.concatenate([[4 * independent[0]], jumps]), forget),
-        faded(np.concatenate([[4 * independent[0]], independent[1:]]), forget),
+        result[-1],
+        count[-1],
+        faded(np.concatenate([[4 * variance[0]], jumps]), forget),
+        faded(np.concatenate([[4 * variance[0]], variance[1:]]), forget),
     ]
     terms = relative + np.concatenate([[0], degrees[1:] * foreseen])
     return np.array(numbers), faded(terms**2, keep**2)
@@ -113,7 +110,7 @@ def test_the_history_is_faded_sums(dtype, seed, alpha, gain_alpha, target):
     found = histories(brought, Controller(target, alpha, gain_alpha=gain_alpha))
     assert found.gain is not None
     leaves = [found.square_deviation, found.degrees, found.lit_degrees, found.uncertainty]
-    leaves += [found.gain.mean, found.gain.temporal, found.gain.spatial]
+    leaves += [found.gain.previous, found.gain.previous_count, found.gain.temporal, found.gain.spatial]
     assert all(leaf.dtype == dtype and leaf.shape == (FRAMES, PIXELS) for leaf in leaves)
     eps = float(np.finfo(dtype).eps)
     for pixel in range(PIXELS):
@@ -122,8 +119,9 @@ def test_the_history_is_faded_sums(dtype, seed, alpha, gain_alpha, target):
             expected, terms = expected_numbers(*of_pixel, target=target, alpha=alpha, gain_alpha=gain_alpha)
             mine = np.array([float(leaf[last, pixel]) for leaf in leaves])
             # Positive sums err by some roundings a frame; differences by those of their terms.
+            most = of_pixel[2].max()
             largest = np.abs(of_pixel[0] / np.sqrt(of_pixel[3] ** 2 + target)).max()
-            absolute = np.array([0, 0, 0, terms, largest, FRAMES * largest**2, 0]) * 100 * eps
+            absolute = np.array([0, 0, 0, terms, largest, 0, FRAMES * most * largest**2, 0]) * 100 * eps
             np.testing.assert_array_less(
                 np.abs(mine - expected), 4 * FRAMES * eps * np.abs(expected) + absolute + 1e-30
             )
@@ -170,7 +168,9 @@ def test_variance_and_count_by_hand(x64, seed, target):
     total, uncertainty, control = generator.lognormal(size=(3, PIXELS))
     degrees = generator.uniform(1, 2000, PIXELS)
     temporal, spatial = generator.lognormal(size=(2, PIXELS))
-    state = history(total, degrees, degrees, uncertainty, dtype=float, gain=(control, temporal, spatial))
+    state = history(
+        total, degrees, degrees, uncertainty, dtype=float, gain=(control, degrees, temporal, spatial)
+    )
     controller = Controller(target, min_spp=4, max_spp=1000, gain_alpha=0.1)
     variance = total / degrees * (control**2 + target)
     assert np.asarray(sample_variance(state, control, controller)) == pytest.approx(variance, rel=1e-13)
@@ -244,7 +244,7 @@ def test_counts_are_within_their_bounds(dtype, seed, bounds):
     )
     leaves = [
         np.where(generator.random(64) < 0.3, generator.choice(special, 64), generator.lognormal(0, 4, 64))
-        for _ in range(8)
+        for _ in range(9)
     ]
     *numbers, control = (leaf.astype(dtype) for leaf in leaves)
     low, high = sorted(bounds)
@@ -293,7 +293,7 @@ def test_hits_that_are_rare_and_alike_are_given_one_more():
 @pytest.mark.parametrize("controller", [CONTROLLER, GAINING], ids=["plain", "gain"])
 def test_a_history_of_nothing(dtype, controller):
     state = in_frame.init(jnp.zeros((2, 3), dtype), controller)
-    assert len(jax.tree.leaves(state)) == (4 if controller.gain_alpha is None else 7)
+    assert len(jax.tree.leaves(state)) == (4 if controller.gain_alpha is None else 8)
     for leaf in jax.tree.leaves(state):
         assert leaf.dtype == dtype and leaf.shape == (2, 3) and not np.any(leaf)
     assert np.all(next_count(state, 1.0, controller) == 8)
@@ -421,7 +421,7 @@ def test_only_a_lamp_that_was_on_is_off():
 def test_the_first_light_starts_afresh():
     # What was seen in the dark says nothing of it; light that was there before goes on.
     brought = 0.7, 0.3, 16, 0.9
-    dark = history(0.4, 50.0, 1.0, 0.2, gain=(1.0, 2.0, 3.0))
+    dark = history(0.4, 50.0, 1.0, 0.2, gain=(1.0, 9.0, 2.0, 3.0))
     fresh = update(in_frame.init(0.0, GAINING), *brought, controller=GAINING)
     for a, b in zip(
         jax.tree.leaves(update(dark, *brought, controller=GAINING)), jax.tree.leaves(fresh), strict=True
@@ -573,10 +573,10 @@ slopes = jax.jit(jax.grad(wanted, argnums=(0, 1, 2)))
 
 
 def test_gradients_are_slopes(x64):
-    numbers = jnp.array([20.0, 100.0, 95.0, 3.0, 0.7, 0.02, 0.05])
+    numbers = jnp.array([20.0, 100.0, 95.0, 3.0, 0.7, 12.0, 0.02, 0.05])
     gradient = slopes(numbers, 0.9, 1e-2)
-    for index in range(7):
-        step = np.zeros(7)
+    for index in range(8):
+        step = np.zeros(8)
         step[index] = 1e-5
         slope = (value(numbers + step, 0.9, 1e-2) - value(numbers - step, 0.9, 1e-2)) / 2e-5
         # A central difference is off by its square and by rounding, 1e-16 / 1e-5.
@@ -592,11 +592,11 @@ def test_gradients_are_slopes(x64):
 @pytest.mark.parametrize(
     "numbers, control",
     [
-        ((0.0,) * 7, 1.0),
-        ((0.0,) * 7, 0.0),
-        ((0.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),
-        ((20.0, 100.0, 95.0, 3.0, 0.7, 0.0, 0.0), 0.0),
-        ((1e30, 1.0, 1.0, 1e30, 0.0, 0.0, 0.0), 1.0),
+        ((0.0,) * 8, 1.0),
+        ((0.0,) * 8, 0.0),
+        ((0.0, 50.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0),
+        ((20.0, 100.0, 95.0, 3.0, 0.7, 12.0, 0.0, 0.0), 0.0),
+        ((1e30, 1.0, 1.0, 1e30, 0.0, 0.0, 0.0, 0.0), 1.0),
     ],
 )
 def test_gradients_are_finite_where_nothing_is_known(x64, numbers, control):
@@ -608,7 +608,7 @@ def test_gradients_of_the_history_itself(x64):
     for numbers in ((0.0, 0.0, 0.0, 0.0), USUAL):
         of_safety = jax.grad(lambda n: in_frame.safety(history(*n, dtype=float)))(jnp.array(numbers))
         assert np.all(np.isfinite(of_safety))
-    of_gain = jax.grad(lambda n: in_frame.sequence_gain(history(*USUAL, dtype=float, gain=n)))(jnp.zeros(3))
+    of_gain = jax.grad(lambda n: in_frame.sequence_gain(history(*USUAL, dtype=float, gain=n)))(jnp.zeros(4))
     assert np.all(np.isfinite(of_gain))
 
 

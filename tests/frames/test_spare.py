@@ -38,10 +38,10 @@ def kept(monkeypatch):
 
 def test_a_pass_writes_over_the_scene_of_the_one_before(kept):
     one = np.asarray(run(frame(0)))
-    (scene,) = kept.values()
+    _, scene = kept["scene"]
     address = scene.unsafe_buffer_pointer()
     again = np.asarray(run(frame(1)))
-    (after,) = kept.values()
+    _, after = kept["scene"]
     assert scene.is_deleted() and after.unsafe_buffer_pointer() == address
     np.testing.assert_array_equal(run(frame(0)), one)
     assert not np.array_equal(again, one)
