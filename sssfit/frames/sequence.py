@@ -30,8 +30,8 @@ from sssfit.frames.points import Settings
 from sssfit.frames.render import LARGEST_SEED, SEEDS
 
 _IMAGE, _ORACLE = 0, 1
-#: Weight of the newest frame in the gain of `policies.InFrame`, for points of low discrepancy. It is larger than
-#: a pixel's alone, since the gain is that of 8 by 8 pixels.
+#: Weight of the newest frame in the gain of `policies.InFrame`, for points of low discrepancy. It is larger
+#: than a pixel's alone, since the gain is that of 8 by 8 pixels.
 GAIN_ALPHA = 0.1
 
 
