@@ -37,12 +37,13 @@ def known(frame: Frame, exact: Array, missing: Array, config: Any, light: str | 
         if number == 0 or d is None:
             continue
         here = frame.profile_id == number
-        widest = jnp.max(jnp.asarray(d, jnp.float32), keepdims=True)
+        widest = jnp.max(jnp.asarray(d, jnp.float32))
         scattered, least = here & (widest > 0), config.settings.split
         if least is not None or lit is not None:
             depth, d = jnp.where(here, frame.depth, 1), jnp.where(widest > 0, widest, 1)
             share = split.distant_share(depth, frame.camera, d, config.settings)
-            scattered &= share >= (0 if least is None else least)
+            if least is not None:
+                scattered &= share >= least
             if lit is not None:
                 found = jnp.where(here, share * (surround(lit, here) if light == "surround" else lit), found)
         sampled |= scattered
