@@ -15,7 +15,7 @@ from sssfit.frames.gbuffer import Frame
 PAGE = "sequences.md"
 COLOURS = {
     "fixed": "0.6", "as": "#0072b2", "ocv": "#d55e00", "ccv": "#cc79a7", "in_frame": "#009e73",
-    "oracle": "black",
+    "in_frame, gain": "#e69f00", "oracle": "black",
 }  # fmt: skip
 
 # --- a light that flashes
@@ -79,8 +79,11 @@ def policy(name: str, target: float) -> Any:
     if name == "fixed":
         return policies.named(name, spp=BOUNDS[1])
     options: dict[str, Any] = {"target_variance": target, "min_spp": BOUNDS[0], "max_spp": BOUNDS[1]}
+    name, _, with_gain = name.partition(",")
     if name != "in_frame":
         options |= {"alpha": ALPHA, "kappa": KAPPA}
+    elif with_gain:
+        options["gain_alpha"] = sequence.GAIN_ALPHA
     return policies.named(name, **options)
 
 
@@ -128,15 +131,19 @@ def draw_flash(tracks: dict[str, Track], light: np.ndarray) -> None:
 
 # --- a scene that stands still
 
-STATIC_TARGETS, STATIC_MOST = (3e-4, 1e-3, 3e-3), (64, 512)
+STATIC_TARGETS, STATIC_MOST = (3e-4, 1e-3, 3e-3), (64, 128, 512)
 STATIC_EQUAL, STATIC_FIXED = (8, 16, 32, 64), 64
 STATIC_FRAMES, STATIC_LAST, STATIC_ROUNDS = 24, 4, 25
 
 
 class Static(NamedTuple):
-    """A still frame, its profiles and pixels, an image of many samples and half its halves' difference."""
+    """A still frame, its profiles and pixels, an image of many samples and half its halves' difference.
+
+    `large` is the same in three times as many rows and columns, to take times of.
+    """
 
     frame: Frame
+    large: Frame
     profiles: dict[int, Any]
     mask: np.ndarray
     many: tuple[np.ndarray, np.ndarray]
@@ -144,8 +151,9 @@ class Static(NamedTuple):
 
 def study_static() -> None:
     head = scene("s2_head", "skin1")
-    frame = head.frame._replace(profile_id=jnp.asarray(head.mask).astype(jnp.int32))
-    of = Static(frame, {1: head.d}, head.mask, many_samples(frame, {1: head.d}))
+    large = gbuffer.load(FOLDER / "s2_head" / "gbuffer_1080p.exr", FOLDER / "s2_head" / "camera.json")
+    frame, large = (f._replace(profile_id=(f.profile_id == 1).astype(jnp.int32)) for f in (head.frame, large))
+    of = Static(frame, large, {1: head.d}, head.mask, many_samples(frame, {1: head.d}))
     rows = [static_row(of, f"fixed {spp}", "", "", policies.named("fixed", spp=spp)) for spp in STATIC_EQUAL]
     for most in STATIC_MOST:
         for target in STATIC_TARGETS:
@@ -153,6 +161,7 @@ def study_static() -> None:
                 "as, kappa 0": {"kappa": 0.0},
                 "as, kappa 0.2": {"kappa": 0.2},
                 "in_frame": {},
+                "in_frame, gain": {"gain_alpha": sequence.GAIN_ALPHA},
             }.items():
                 bounds: dict[str, Any] = {"target_variance": target, "min_spp": 8, "max_spp": most}
                 chosen = policies.named(name.partition(",")[0], **bounds, **options)
@@ -183,7 +192,9 @@ def static_row(of: Static, name: str, bounds: str, target: str, chosen: Any) -> 
     full = counts[of.mask] == counts.max()
     cells = {"policy": name, "bounds": bounds, "target": target}
     cells["mean count / 64"] = f"{np.mean([c[of.mask].mean() for _, c in last]) / STATIC_FIXED:.3f}"
-    cells["time / fixed 64"] = f"{time_ratio(of, counts):.3f}"
+    cells["time / fixed 64"] = f"{time_ratio(of.frame, of.profiles, counts):.3f}"
+    nine = counts.repeat(3, axis=0).repeat(3, axis=1)
+    cells["in nine times the pixels"] = f"{time_ratio(of.large, of.profiles, nine):.3f}"
     cells["PSNR, dB"] = f"{np.mean(found):.2f}"
     if bounds:
         wanted = float(target)
@@ -201,11 +212,11 @@ def squared(of: Static, image) -> np.ndarray:
     return np.square(np.asarray(error))[of.mask]
 
 
-def time_ratio(of: Static, counts: np.ndarray) -> float:
+def time_ratio(frame: Frame, profiles, counts: np.ndarray) -> float:
     """Of a pass with these counts and one with the fixed count, in turns."""
 
     def drawn(many: Any) -> Any:
-        found = scatter.every_profile(of.frame, of.profiles, counts=many, most=int(np.max(many)))
+        found = scatter.every_profile(frame, profiles, counts=many, most=int(np.max(many)))
         return found.block_until_ready()
 
     fixed = jnp.full(counts.shape, STATIC_FIXED)

@@ -4,7 +4,8 @@ Run from the repository root, all studies in some twenty minutes on two cores, o
 
     python docs/scripts/frames_studies.py [beam] [importance] [methods] [spp] [prefilter] [split]
 
-and of docs/sequences.md, in some ten minutes more: [flash] [static] [delivered]
+and of docs/sequences.md, in some twenty minutes more: [flash] [static] [delivered] [moving]
+[cold] [half] [taa] [jitter]
 """
 
 import sys
@@ -13,11 +14,22 @@ import time
 import frames_accuracy
 import frames_data
 import frames_delivered
+import frames_histories
+import frames_jitter
+import frames_moving
 import frames_sampling
 import frames_sequences
+import frames_taa
 
 STUDIES = (
-    frames_accuracy.STUDIES | frames_sampling.STUDIES | frames_sequences.STUDIES | frames_delivered.STUDIES
+    frames_accuracy.STUDIES
+    | frames_sampling.STUDIES
+    | frames_sequences.STUDIES
+    | frames_delivered.STUDIES
+    | frames_moving.STUDIES
+    | frames_histories.STUDIES
+    | frames_taa.STUDIES
+    | frames_jitter.STUDIES
 )
 
 

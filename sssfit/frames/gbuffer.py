@@ -5,7 +5,7 @@ import os
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -244,13 +244,16 @@ def _mended(
     """A frame of these layers, with bad pixels masked out or refused."""
     irradiance, surface = layers.pop("irradiance"), profile_id > 0
     assert irradiance is not None
-    faults = {
-        "a NaN, infinite or negative irradiance": ~((irradiance >= 0) & np.isfinite(irradiance)).all(-1),
-        "a depth that is NaN, infinite or not above 0": surface & ~((depth > 0) & np.isfinite(depth)),
+    faults: dict[str, Any] = {
+        "a depth that is NaN, infinite or not above 0": surface & ~((depth > 0) & np.isfinite(depth))
     }
-    for name, values in layers.items():
-        if values is not None:
-            faults[f"a NaN or infinite {name}"] = surface & ~np.isfinite(values).all(-1)
+    if not _is_finite(irradiance) or irradiance.min() < 0:
+        wrong = ~((irradiance >= 0) & np.isfinite(irradiance)).all(-1)
+        faults = {"a NaN, infinite or negative irradiance": wrong} | faults
+    rest = {name: values for name, values in layers.items() if values is not None}
+    broken = [name for name, values in rest.items() if not _is_finite(values)]
+    for name in broken:
+        faults[f"a NaN or infinite {name}"] = surface & ~np.isfinite(rest[name]).all(-1)
     told = [_told(mask, fault) for fault, mask in faults.items() if mask.any()]
     if told and strict:
         raise FileError(file, "", ", ".join(told), "mend the file, or have them masked out without strict")
@@ -269,14 +272,20 @@ def _mended(
     # Renderers leave all sorts of numbers where there is no surface.
     nothing = (profile_id == 0) & ~((depth > 0) & (depth < background_depth))
     depth = np.where(nothing, background_depth, depth)
-    clean = {n: None if v is None else jnp.asarray(np.where(np.isfinite(v), v, 0)) for n, v in layers.items()}
+    for name in broken:
+        rest[name] = np.where(np.isfinite(rest[name]), rest[name], 0)
     return Frame(
         irradiance=jnp.asarray(irradiance, jnp.float32),
         depth=jnp.asarray(depth, jnp.float32),
         profile_id=jnp.asarray(profile_id, jnp.int32),
         camera=camera,
-        **clean,
+        **(dict.fromkeys(layers) | {name: jnp.asarray(values) for name, values in rest.items()}),
     )
+
+
+def _is_finite(values: np.ndarray) -> bool:
+    """Whether all numbers are; of a good frame two of them tell it sooner than a mask does."""
+    return bool(np.isfinite(values.min()) and np.isfinite(values.max()))
 
 
 def _told(mask: np.ndarray, fault: str) -> str:
