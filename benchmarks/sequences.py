@@ -150,7 +150,7 @@ def reading_report(scene: Scene, options: argparse.Namespace) -> tuple[np.ndarra
         config = sequence.Config(policies.named("as", target_variance=options.targets[0]), profiles)
 
         def run(given: Iterator[Frame]) -> None:
-            for state, image, _ in sequence.scan(given, config):
+            for state, image, _ in sequence.scan(given, config, keep_states=False):
                 jax.block_until_ready((state.memory, image))
 
         def both():
@@ -191,7 +191,7 @@ def _peak(width: int, height: int, frames: int) -> float:
     config = sequence.Config(policies.named("ocv", target_variance=TARGETS[0]), profiles)
     # Each frame has arrays of its own, as frames that are read have.
     new = (jax.tree.map(jnp.copy, frame) for _ in range(frames))
-    for _, image, _ in sequence.scan(new, config):
+    for _, image, _ in sequence.scan(new, config, keep_states=False):
         image.block_until_ready()
     return interleaved.peak()
 

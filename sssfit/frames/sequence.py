@@ -239,18 +239,19 @@ def _missing(now: tuple, seen: tuple, motion: Array | None, depth_tolerance: Arr
 
 
 def scan(
-    frames: Iterable[Frame], config: Config, state: State | None = None
+    frames: Iterable[Frame], config: Config, state: State | None = None, *, keep_states: bool = True
 ) -> Iterator[tuple[State, Array, Info]]:
     """All frames of a sequence, one at a time.
 
     Args:
         frames: of one size; made when they are wanted.
         config: see `Config`.
-        state: after an earlier part of the sequence; None to begin.
+        state: after an earlier part of the sequence; None to begin. It is never written over.
+        keep_states: False writes each state over the second one before it, which saves time: only the last
+            two can be used.
 
     Yields:
-        What `step` returns. A state can be used until the second one after it is asked for, which is written
-        over it: copy those that are to stay.
+        What `step` returns.
 
     Raises:
         ValueError: as `step`.
@@ -268,8 +269,7 @@ def scan(
     for frame in frames:
         now = init(frame, config) if state is None else state
         state, image, info = step(now, frame, config, spare=before)
-        # The caller's own is not to be written over.
-        before = None if now is given else now
+        before = None if keep_states or now is given else now
         yield state, image, info
 
 

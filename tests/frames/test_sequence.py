@@ -245,9 +245,13 @@ def test_a_memory_that_is_written_over():
         state, image, info = sequence.step(state, each, chosen)
         states.append(state)
         found.append((image, info.counts))
-    for (_, image, info), (other, counts) in zip(sequence.scan(frames, chosen), found, strict=True):
+    going, gone = sequence.scan(frames, chosen, keep_states=False), []
+    for (new, image, info), (other, counts) in zip(going, found, strict=True):
         np.testing.assert_array_equal(image, other)
         np.testing.assert_array_equal(info.counts, counts)
+        gone.append(new)
+    deleted = [[leaf.is_deleted() for leaf in jax.tree.leaves(each.memory)] for each in gone]
+    assert all(map(all, deleted[:-2])) and not any(map(any, deleted[-2:]))
     # What was given to be written over is gone, everything else is as it was.
     first, kept = states[0], jax.tree.map(np.asarray, states[1].memory)
     after = sequence.step(states[1], frames[2], chosen, spare=first)[0]
@@ -262,8 +266,10 @@ def test_a_state_of_the_callers_own_is_not_written_over():
     chosen = config("as")
     state = sequence.init(frame(), chosen)
     given = sequence.step(state, frame(), chosen)[0]
-    *_, (last, _, _) = sequence.scan([frame()] * 4, chosen, given)
+    *_, (last, _, _) = sequence.scan([frame()] * 4, chosen, given, keep_states=False)
     assert last.number == 5
+    every = [new for new, _, _ in sequence.scan([frame()] * 4, chosen, given)]
+    assert not any(leaf.is_deleted() for each in every for leaf in jax.tree.leaves(each.memory))
     assert not any(leaf.is_deleted() for leaf in jax.tree.leaves(given.memory))
 
 
