@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 import page
 from frames_problem import Scene
+from jax import Array
 
 from sssfit.estimators import policies
-from sssfit.estimators.policies import InFrame, Known
+from sssfit.estimators.policies import InFrame
 from sssfit.files.ahead import read_ahead
 from sssfit.frames import _guidance, _learning, gbuffer, scatter, sequence
 from sssfit.frames.gbuffer import Frame
@@ -76,23 +77,26 @@ def case(scene: Scene, name: str, target: float, is_moving: bool) -> Case:
     gain_alpha = sequence.GAIN_ALPHA if name == "in_frame" else None
     policy = policies.named(name, target_variance=target, gain_alpha=gain_alpha)
     config = sequence.Config(policy, profiles)
-    *_, (state, image, info) = sequence.scan([frame] * WARM, config)
-    # Two states of its own, of which a step reads one and writes over the other.
-    carried = [jax.tree.map(jnp.copy, state._replace(number=0)) for _ in range(2)]
+    *_, (state, _, _) = sequence.scan([frame] * WARM, config)
+    after, _, info = sequence.step(state, frame, config)
+    # Each step begins with the same state, so that all draw what the pass does.
+    unused = [after]
 
-    def step():
-        new, image, info = sequence.step(carried[0]._replace(number=WARM), frame, config, spare=carried[1])
-        carried[:] = new, carried[0]
-        jax.block_until_ready((new.memory, image, info))
+    def step() -> Array:
+        new, image, info = sequence.step(state, frame, config, spare=unused[0])
+        unused[0] = new
+        jax.block_until_ready((new.memory, image))
+        return info.counts
 
-    of_pass = scatter.image_and_variance if isinstance(config.policy, InFrame) else scatter.every_profile
-    most = int(np.max(policy.max_spp))
+    of_pass = scatter.image_and_variance if isinstance(policy, InFrame) else scatter.every_profile
+    options = {"counts": info.counts, "most": int(np.max(policy.max_spp)), "number": WARM}
+    learning, moved = learning_of(config, frame, state, info)
     programs: dict[str, Callable[[], object]] = {
         "step": step,
-        "pass": lambda: jax.block_until_ready(of_pass(frame, profiles, counts=info.counts, most=most)),
+        "pass": lambda: jax.block_until_ready(of_pass(frame, profiles, **options)),
+        "learning": learning,
+        "copy": copy_of(moved),
     }
-    learning, moved = learning_of(config, state, info)
-    programs |= {"learning": learning, "copy": copy_of(moved)}
     mask = np.isin(np.asarray(frame.profile_id), scene.ids[:1])
     return Case(float(np.asarray(info.counts)[mask].mean()), moved, programs)
 
@@ -108,11 +112,11 @@ def whole(scene: Scene, is_moving: bool) -> tuple[Frame, dict[int, Any]]:
     return frame, {number: d if number in scene.ids[:1] else None for number in ids}
 
 
-def learning_of(config, state, info) -> tuple[Callable[[], object], int]:
+def learning_of(config, frame: Frame, state, info) -> tuple[Callable[[], object], int]:
     """What is learned after a frame, alone, and how many bytes it has to read and to write."""
-    control = jnp.full(info.value.shape, 0.5, jnp.float32)
-    known = Known(control, control, jnp.float32(0), info.missing)
-    variance = control if isinstance(config.policy, InFrame) else None
+    light = _guidance.light_of(config.policy)
+    known, _ = _guidance.known(frame, jnp.float32(0), info.missing, config, light)
+    variance = jnp.full(info.value.shape, 0.5, jnp.float32) if isinstance(config.policy, InFrame) else None
     kept = [jax.tree.map(jnp.copy, state.memory)]
 
     def learning():
@@ -120,8 +124,7 @@ def learning_of(config, state, info) -> tuple[Callable[[], object], int]:
         kept[0] = jax.block_until_ready(_learning.after(config.policy, *given, kept[0]))
 
     memory = sum(leaf.nbytes for leaf in jax.tree.leaves(state.memory))
-    read = [info.counts, info.value, info.missing] + [variance] * (variance is not None)
-    read += [control] * (_guidance.light_of(config.policy) is not None)
+    read = jax.tree.leaves((known, info.counts, info.value, variance))
     return learning, 2 * memory + sum(array.nbytes for array in read)
 
 
@@ -144,9 +147,10 @@ def reading_report(scene: Scene, options: argparse.Namespace) -> tuple[np.ndarra
     """Frames of EXR files: reading them, computing with them, and both."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frame.exr"
-        path.write_bytes(gbuffer.encode(scene.frame))
+        frame, profiles = whole(scene, False)
+        path.write_bytes(gbuffer.encode(frame))
         load = functools.partial(gbuffer.load, path, camera=scene.frame.camera)
-        frames, profiles = [whole(scene, False)[0]] * options.frames, whole(scene, False)[1]
+        frames = [frame] * options.frames
         config = sequence.Config(policies.named("as", target_variance=options.targets[0]), profiles)
 
         def run(given: Iterator[Frame]) -> None:
@@ -177,7 +181,7 @@ def memory_report(scene: Scene, options: argparse.Namespace) -> tuple[dict[int, 
     """The most memory of a new process, after few frames and after many."""
     del scene
     found: dict[int, float] = {}
-    for frames in (options.frames // 2, 4 * options.frames):
+    for frames in (options.frames // 2, 4 * options.frames, 12 * options.frames):
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             found[frames] = pool.apply(_peak, (options.width, options.height, frames))
     lines = ["| frames | most memory, MB |", "|--:|--:|"]

@@ -29,7 +29,7 @@ def test_sequences(load, tmp_path, capsys):
     assert all(text in written for text in printed.splitlines())
     assert len(results["steps"]) == 2 * len(module.NAMES)
     assert all(np.all(ratio > 0) for ratio in results["steps"].values())
-    assert list(results["memory"]) == [1, 8] and min(results["memory"].values()) > 50
+    assert list(results["memory"]) == [1, 8, 24] and min(results["memory"].values()) > 50
 
 
 @pytest.mark.slow
@@ -41,8 +41,14 @@ def test_what_is_timed_is_what_a_step_does(load, name):
     # A part of a pixel changes no lookup.
     assert still.mean_count == moving.mean_count and still.moved == moving.moved
     pixels = scene.frame.depth.size
-    # Memory read and written, counts, values and missing; the light, or the variance of a sample too.
-    leaves, more = {"as": (3, 0), "ocv": (8, 4), "in_frame": (8, 8)}[name]
-    assert still.moved == pixels * (8 * leaves + 9 + more)
+    # Memory read and written, counts, values and missing; the light, or the variance of a sample too. What is
+    # not known of the pixels is a number.
+    leaves, more, numbers = {"as": (3, 0, 3), "ocv": (8, 4, 2), "in_frame": (8, 8, 2)}[name]
+    assert still.moved == pixels * (8 * leaves + 9 + more) + 4 * numbers
     for program in still.programs.values():
         jax.block_until_ready(program())
+    # Step after step draws what the pass draws.
+    first, second = (np.asarray(still.programs["step"]()) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    mask = np.asarray(scene.frame.profile_id) == scene.ids[0]
+    assert first[mask].mean() == still.mean_count

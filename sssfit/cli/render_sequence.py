@@ -82,6 +82,7 @@ def _every_frame(work: Work) -> None:
     kept = len(ledger.rows)
     left = work.frames[kept:]
     state: Any = None
+    before: Any = None
     with _bar(work, kept) as bar, closing(read_ahead(_Reader(work), left)) as ahead:
         try:
             for place in left:
@@ -90,7 +91,7 @@ def _every_frame(work: Work) -> None:
                 read = next(ahead)
                 waited = time.perf_counter() - started
                 with interrupt_deferred():
-                    state = _one_frame(work, read, state, waited, bar)
+                    state, before = _one_frame(work, read, state, before, waited, bar), state
                     if sequence_ledger.is_due(len(ledger.rows), read.mask.size):
                         sequence_ledger.save(out, ledger, state)
                         kept = len(ledger.rows)
@@ -152,8 +153,8 @@ def _state_of(path: Path) -> tuple[int, ...] | None:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _one_frame(work: Work, read: _Read, state, waited: float, bar):
-    """Render and write one frame, and enter it into the ledger; the state after it."""
+def _one_frame(work: Work, read: _Read, state, before, waited: float, bar):
+    """Render and write one frame, and enter it into the ledger; the state after it, written over `before`."""
     import numpy as np
 
     from sssfit.frames import sequence_output
@@ -162,7 +163,7 @@ def _one_frame(work: Work, read: _Read, state, waited: float, bar):
     for text in _warnings(work, read):
         bar.warn(text)
     started = time.perf_counter()
-    state, image, info = _stepped(work, read, state)
+    state, image, info = _stepped(work, read, state, before)
     image, counts = np.asarray(image), np.asarray(info.counts)
     stepped = time.perf_counter()
     bounds, psnr = sequence_options.bounds(options), _psnr(read, image)
@@ -193,7 +194,7 @@ def _warnings(work: Work, read: _Read) -> list[str]:
     return [*read.told, missing]
 
 
-def _stepped(work: Work, read: _Read, state):
+def _stepped(work: Work, read: _Read, state, before):
     """The library's step; before the first, the state of nothing or that which was kept."""
     from sssfit.files.errors import FileError
     from sssfit.frames import sequence, sequence_ledger
@@ -204,7 +205,7 @@ def _stepped(work: Work, read: _Read, state):
         if work.leaves is not None:
             state = sequence_ledger.restored(work.leaves, state, work.options.out)
     try:
-        return sequence.step(state, read.frame, config)
+        return sequence.step(state, read.frame, config, spare=before)
     except ValueError as error:
         # The other arguments have been checked.
         if read.frame.normal is None:

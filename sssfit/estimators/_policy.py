@@ -61,5 +61,5 @@ class Policy(Protocol):
         ...
 
     def learn(self, state: Any, known: Known, sampled: Sampled) -> tuple[Any, Learned]:
-        """The memory after a frame."""
+        """The memory after a frame, each pixel's from its own numbers alone: it may be given a few rows."""
         ...

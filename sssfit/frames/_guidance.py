@@ -59,11 +59,11 @@ def pooled(memory: Any, usable: Array) -> Any:
     """
     if not isinstance(memory, in_frame.History) or memory.gain is None:
         return memory
-    usable = usable & ~memory.is_lost
-    wide = (memory.gain.temporal.astype(jnp.float32), memory.gain.spatial.astype(jnp.float32))
-    return eqx.tree_at(
-        lambda m: (m.gain.temporal, m.gain.spatial), memory, tuple(surround(v, usable) for v in wide)
-    )
+    is_lost = memory.is_lost
+    own = memory.gain.temporal.astype(jnp.float32), memory.gain.spatial.astype(jnp.float32)
+    # What is lost stays so.
+    shared = tuple(jnp.where(is_lost, v, surround(v, usable & ~is_lost)) for v in own)
+    return eqx.tree_at(lambda m: (m.gain.temporal, m.gain.spatial), memory, shared)
 
 
 @functools.partial(jax.jit, static_argnames="gamma")
@@ -79,8 +79,9 @@ def luminance(image: Array) -> Array:
 
 
 def surround(light: Array, mask: Array) -> Array:
-    """The mean of something around the pixels of a mask, 0 where there are none."""
+    """The mean of something around the pixels of a mask, 0 where there are none; a NaN is left out."""
     height, width = light.shape
+    mask = mask & jnp.isfinite(light)
     sums = [
         jnp.pad(v, ((0, -height % _SURROUND), (0, -width % _SURROUND)))
         for v in (jnp.where(mask, light, 0), mask)

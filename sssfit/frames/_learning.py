@@ -41,10 +41,11 @@ def after(
     if not old:
         return memory
     given = policy, memory, known, counts, value, variance
-    traced = _lanes.is_traced(given)
+    if _lanes.is_traced(given):
+        return _learned(given)
     kept = [jnp.zeros_like(leaf) for leaf in old] if spare is None else jax.tree.leaves(spare)
     rows = min(_ROWS, len(value)) if jax.default_backend() == "cpu" else len(value)
-    many = 1 if traced else min(_lanes.number(), len(old))
+    many = min(_lanes.number(), len(old))
     # Each lane has arrays of its own, for no two programs can write to one array.
     mine = [tuple(range(lane, len(old), many)) for lane in range(many)]
 
@@ -58,22 +59,26 @@ def after(
 @functools.partial(jax.jit, static_argnames=("which", "rows"), donate_argnames="kept")
 def _strips(kept: list[Array], given: Any, which: tuple[int, ...], rows: int) -> list[Array]:
     """Some of the memory's arrays, strip by strip."""
-    height = len(kept[0])
+    height, width = given[4].shape
 
     def strip(number, new):
         # The last one may overlap the one before it.
         first = jnp.minimum(number * rows, height - rows)
 
         def cut(leaf):
-            is_map = jnp.ndim(leaf) >= 2 and len(leaf) == height
+            is_map = jnp.shape(leaf)[:2] in ((height, width), (height, 1))
             return jax.lax.dynamic_slice_in_dim(leaf, first, rows) if is_map else leaf
 
-        policy, memory, known, counts, value, variance = jax.tree.map(cut, given)
-        deviation = jnp.zeros_like(value) if variance is None else variance * jnp.maximum(counts - 1, 0)
-        learned = jax.tree.leaves(policy.learn(memory, known, Sampled(counts, value, deviation))[0])
+        learned = jax.tree.leaves(_learned(jax.tree.map(cut, given)))
         return [
             jax.lax.dynamic_update_slice_in_dim(array, learned[leaf], first, axis=0)
             for array, leaf in zip(new, which, strict=True)
         ]
 
     return jax.lax.fori_loop(jnp.int32(0), jnp.int32(-(-height // rows)), strip, kept)
+
+
+def _learned(given: Any) -> Any:
+    policy, memory, known, counts, value, variance = given
+    deviation = jnp.zeros_like(value) if variance is None else variance * jnp.maximum(counts - 1, 0)
+    return policy.learn(memory, known, Sampled(counts, value, deviation))[0]

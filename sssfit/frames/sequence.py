@@ -24,7 +24,7 @@ from jax.typing import ArrayLike, DTypeLike
 
 from sssfit.estimators import policies
 from sssfit.estimators.policies import Known, Policy
-from sssfit.frames import _footprint, _guidance, _learning, _spare, scatter, temporal
+from sssfit.frames import _guidance, _history, _learning, scatter, temporal
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
 from sssfit.frames.render import LARGEST_SEED, SEEDS
@@ -40,8 +40,8 @@ class Config(eqx.Module):
 
     Attributes:
         policy: who decides the counts, such as `policies.named` makes it. It is told the spread of a frame's
-            samples only if it is `policies.InFrame`, the exact variance only if it is `policies.Oracle`, and
-            the light around only where its `light` is "surround".
+            samples only if it is `policies.InFrame`, the exact variance only if it is `policies.Oracle`; and
+            of the light that on the pixel itself, or only that around it if its `light` is "surround".
         profiles: shape parameter of each channel, mm, by profile id; None where nothing scatters.
         settings: see `points.Settings`.
         gamma: the luminance is raised to 1 / gamma before anything is learned from it, and the control, too;
@@ -170,7 +170,8 @@ def step(
         is compiled anew from frame to frame.
 
     Raises:
-        ValueError: the frame has another size than the state, or as `scatter.every_profile`.
+        ValueError: the frame has another size than the state, `spare` is not fit to be written over, or as
+            `scatter.every_profile`.
 
     Source: as this module.
 
@@ -187,8 +188,8 @@ def step(
         raise ValueError(
             f"frame must have the size of those before it, {columns} x {rows}, got {width} x {height}"
         )
-    if spare is state:
-        raise ValueError("spare must be another state than the one that the step begins with")
+    if spare is not None:
+        _history.check_spare(spare.memory, state.memory)
     seeds = SEEDS * config.seed
     options: dict[str, Any] = {"settings": config.settings, "number": state.number}
     exact = jnp.float32(0)
@@ -197,7 +198,8 @@ def step(
         exact = scatter.image_and_variance(
             frame, config.profiles, counts=spp, seed=seeds + _ORACLE, **options
         )[1]
-    memory, missing = _looked_up(state, frame, config.depth_tolerance)
+    seen = state.depth, state.profile_id
+    memory, missing, is_kept = _history.looked_up(state.memory, seen, frame, config.depth_tolerance)
     # The programs have no use for these two, and are the same for all of them.
     shared = dataclasses.replace(config, seed=0, oracle_spp=2)
     known, sampled = _guidance.known(frame, exact, missing, shared, _guidance.light_of(config.policy))
@@ -208,34 +210,12 @@ def step(
     else:
         image, variance = scatter.every_profile(frame, config.profiles, **options), None
     value = _guidance.measured(image, config.gamma)
-    spare = None if spare is None else spare.memory
-    new = _learning.after(config.policy, memory, known, counts, value, variance, spare)
-    if frame.motion is not None:
-        _spare.keep("memory", memory)
+    unused = None if spare is None else spare.memory
+    new = _learning.after(config.policy, memory, known, counts, value, variance, unused)
+    if is_kept:
+        _history.give_back(memory)
     following = State(state.number + 1, new, frame.depth, frame.profile_id)
     return following, image, Info(counts, missing, value)
-
-
-def _looked_up(state: State, frame: Frame, depth_tolerance: ArrayLike) -> tuple[Any, Array]:
-    """What was remembered of the pixels' points, and of which nothing was."""
-    now, then = (frame.depth, frame.profile_id), (state.depth, state.profile_id)
-    if frame.motion is None:
-        return state.memory, _missing(now, then, None, depth_tolerance)
-    place = _footprint.nearest_place(frame.motion)
-    found = {}
-    for use, history in {"seen": then, "memory": state.memory}.items():
-        found[use] = _footprint.look_up(history, place, _spare.take(use, history, (history, place)))
-    missing = _missing(now, found["seen"], frame.motion, depth_tolerance)
-    _spare.keep("seen", found["seen"])
-    return found["memory"], missing
-
-
-@jax.jit
-def _missing(now: tuple, seen: tuple, motion: Array | None, depth_tolerance: ArrayLike) -> Array:
-    """As `temporal.disoccluded`; what was seen at the points is looked up."""
-    (depth, number), (seen_depth, seen_number) = now, seen
-    lost = temporal.disoccluded(depth, number, seen_depth, seen_number, None, depth_tolerance=depth_tolerance)
-    return lost if motion is None else lost | temporal.off_screen(motion)
 
 
 def scan(

@@ -3,13 +3,14 @@
 import os
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sssfit.estimators import policies
-from sssfit.frames import _footprint, _guidance, _learning, _pass, scatter, sequence
+from sssfit.estimators import control_variate, policies, sample_count
+from sssfit.frames import _footprint, _guidance, _history, _learning, _pass, scatter, sequence
 from sssfit.frames.camera import orthographic
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
@@ -163,7 +164,7 @@ def test_the_light_around_is_the_mean_of_one_profile():
 
 def test_nothing_is_compiled_anew():
     programs: tuple[Any, ...] = (_pass._prepared, _pass._lane_alone, _pass._lane_within)
-    programs += (_pass._image, _pass._image_and_variance, sequence._missing, sequence._counts)
+    programs += (_pass._image, _pass._image_and_variance, _history._missing, sequence._counts)
     programs += (_guidance.known, _guidance.measured, _learning._strips, _footprint._looked_up)
     for name in ("as", "ocv", "in_frame", "fixed"):
         list(sequence.scan(flashing()[:2], config(name)))
@@ -258,8 +259,63 @@ def test_a_memory_that_is_written_over():
     assert all(leaf.is_deleted() for leaf in jax.tree.leaves(first.memory))
     for a, b in ((states[1].memory, kept), (after.memory, states[2].memory)):
         jax.tree.map(np.testing.assert_array_equal, a, b)
+
+
+def test_memory_that_cannot_be_written_over_is_refused():
+    chosen = config("ocv")
+    one = sequence.step(sequence.init(frame(), chosen), frame(), chosen)[0]
+    two = sequence.step(one, frame(), chosen)[0]
+    small = frame()._replace(depth=jnp.ones((3, 4)))
+    half = config("ocv", history_dtype=jnp.float16)
+    for other, of in ((frame(), config("as")), (small, chosen), (frame(), half)):
+        with pytest.raises(ValueError, match="^spare must be a state of the same sequence, with the same"):
+            sequence.step(two, frame(), chosen, spare=sequence.init(other, of))
     with pytest.raises(ValueError, match="^spare must be another state than the one that the step begins"):
-        sequence.step(after, frames[3], chosen, spare=after)
+        sequence.step(two, frame(), chosen, spare=two._replace(number=0))
+    three = sequence.step(two, frame(), chosen, spare=one)[0]
+    with pytest.raises(ValueError, match="^spare must not have been given before: its memory is gone$"):
+        sequence.step(three, frame(), chosen, spare=one)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", [None, [-1.0, 0.0]])
+def test_sequences_within_a_transformation(motion):
+    """By the target, on which the second frame's memory depends, and over several lights at once."""
+
+    def learned(target, factor):
+        policy = policies.Adaptive(
+            control_variate.Config(sample_count.Controller(target, rounding="nearest"), constant=0.0)
+        )
+        frames = [frame(light=factor * TEXTURE, motion=motion)] * 2
+        *_, (state, _, _) = sequence.scan(frames, sequence.Config(policy, PROFILES, settings=SETTINGS))
+        return jnp.sum(state.memory.count.variance)
+
+    target, step = 1e-3, 1e-5
+    _, slope = jax.jvp(lambda t: learned(t, 1.0), (target,), (1.0,))
+    assert float(jax.grad(lambda t: learned(t, 1.0))(target)) == pytest.approx(float(slope), rel=1e-5)
+    # The variance begins with the target, and later counts are whole numbers, whose slope is 0.
+    change = (learned(target + step, 1.0) - learned(target - step, 1.0)) / (2 * step)
+    assert float(slope) == pytest.approx(float(change), rel=0.02)
+    factors = jnp.array([0.5, 1.0], jnp.float32)
+    together = jax.vmap(lambda f: learned(target, f))(factors)
+    alone = [float(learned(target, float(f))) for f in factors]
+    np.testing.assert_allclose(together, alone, rtol=1e-4)
+
+
+def test_the_gain_of_a_lost_pixel_stays_lost():
+    chosen = config("in_frame", gain_alpha=0.1)
+    state = sequence.init(frame(), chosen)
+    for _ in range(3):
+        state, _, _ = sequence.step(state, frame(), chosen)
+    broken = eqx.tree_at(
+        lambda m: m.gain.temporal, state.memory, replace_fn=lambda v: v.at[9, 9].set(jnp.nan)
+    )
+    _, _, info = sequence.step(state._replace(memory=broken), frame(), chosen)
+    counts, whole = (np.asarray(i.counts) for i in (info, sequence.step(state, frame(), chosen)[2]))
+    assert counts[9, 9] == 8 < whole[9, 9] and np.isfinite(counts).all()
+    # Those around share a gain without it, all others are as they were.
+    changed = np.argwhere(counts != whole)
+    assert np.all((changed >= 8) & (changed < 16))
 
 
 def test_a_state_of_the_callers_own_is_not_written_over():
@@ -273,8 +329,10 @@ def test_a_state_of_the_callers_own_is_not_written_over():
     assert not any(leaf.is_deleted() for leaf in jax.tree.leaves(given.memory))
 
 
-@pytest.mark.parametrize("name", ["as", "ocv", "in_frame"])
-@pytest.mark.parametrize("cores", [1, 3])
+@pytest.mark.parametrize(
+    ("name", "cores"),
+    [("ocv", 3), *(pytest.param(n, c, marks=pytest.mark.slow) for n in ("as", "in_frame") for c in (1, 2))],
+)
 def test_strips_and_lanes_make_no_difference(monkeypatch, name, cores):
     """Of a height that is no multiple of a strip's, by a policy whose target differs from pixel to pixel."""
     height, generator = 37, np.random.default_rng(1)
