@@ -27,7 +27,7 @@ from jax import Array
 from sssfit.estimators import policies
 from sssfit.estimators.policies import InFrame
 from sssfit.files.ahead import read_ahead
-from sssfit.frames import _guidance, _learning, gbuffer, scatter, sequence
+from sssfit.frames import _learning, gbuffer, scatter, sequence
 from sssfit.frames.gbuffer import Frame
 
 PARTS = ("steps", "reading", "memory")
@@ -114,8 +114,7 @@ def whole(scene: Scene, is_moving: bool) -> tuple[Frame, dict[int, Any]]:
 
 def learning_of(config, frame: Frame, state, info) -> tuple[Callable[[], object], int]:
     """What is learned after a frame, alone, and how many bytes it has to read and to write."""
-    light = _guidance.light_of(config.policy)
-    known, _ = _guidance.known(frame, jnp.float32(0), info.missing, config, light)
+    known = sequence._known(frame, jnp.float32(0), info.missing, config)
     variance = jnp.full(info.value.shape, 0.5, jnp.float32) if isinstance(config.policy, InFrame) else None
     kept = [jax.tree.map(jnp.copy, state.memory)]
 

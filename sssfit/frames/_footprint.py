@@ -67,10 +67,23 @@ def pixels(values: Array, row: Array, column: Array) -> Array:
 # times as long as to look up places that are an array of their own.
 @jax.jit
 def nearest_place(motion: ArrayLike) -> Array:
-    """Which pixel each pixel's point was in, counted along the rows; beyond the frame one of its edge."""
+    """Which pixel each pixel's point was in, counted along the rows.
+
+    Off the screen or unknown it is the complement, which is below 0, of the pixel of the edge next to it.
+    """
     row, column = place(motion).nearest()
     height, width = row.shape
-    return jnp.clip(row, 0, height - 1) * width + jnp.clip(column, 0, width - 1)
+    inside = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
+    is_off = (inside[0] != row) | (inside[1] != column) | jnp.isnan(jnp.asarray(motion)).any(axis=-1)
+    found = inside[0] * width + inside[1]
+    return jnp.where(is_off, ~found, found)
+
+
+def at(values: Array, place: Array) -> Array:
+    """What an array (H, W, ...) holds at `nearest_place`."""
+    flat = values.reshape(place.size, *values.shape[2:])
+    # Either the place or its complement is not below 0.
+    return flat.at[place ^ (place >> 31)].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def look_up(history: Any, place: Array, spare: Any = None) -> Any:
@@ -94,11 +107,7 @@ def look_up(history: Any, place: Array, spare: Any = None) -> Any:
 
 @partial(jax.jit, donate_argnames="spare", keep_unused=True)
 def _looked_up(spare: Any, history: Any, place: Array) -> Any:
-    def found(values: Array) -> Array:
-        flat = values.reshape(place.size, *values.shape[2:])
-        return flat.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
-
-    return jax.tree.map(found, history)
+    return jax.tree.map(lambda values: at(values, place), history)
 
 
 def footprint(

@@ -1,6 +1,7 @@
 """What a policy is told of a frame before it is sampled, and the measure that it learns in."""
 
 import functools
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -9,7 +10,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from sssfit.estimators import in_frame, policies
-from sssfit.estimators.policies import Known
 from sssfit.frames import split
 from sssfit.frames._block import LUMINANCE
 from sssfit.frames.gbuffer import Frame
@@ -28,28 +28,42 @@ def light_of(policy: Any) -> str | None:
     return getattr(policy, "light", "control")
 
 
+def sampled(frame: Frame, config: Any) -> Array:
+    """Which pixels are sampled; `config` is a `sequence.Config`."""
+    found, least = jnp.zeros(frame.depth.shape, bool), config.settings.split
+    for here, d in _scattering(frame, config):
+        is_wide = here & (d > 0)
+        found |= is_wide if least is None else is_wide & (_share(frame, here, d, config) >= least)
+    return found
+
+
 @functools.partial(jax.jit, static_argnames="light")
-def known(frame: Frame, exact: Array, missing: Array, config: Any, light: str | None) -> tuple[Known, Array]:
-    """What is known of the frame, and which pixels are sampled; `config` is a `sequence.Config`."""
-    sampled, found = jnp.zeros(missing.shape, bool), jnp.float32(0)
-    lit = None if light is None else measured(frame.irradiance, config.gamma)
+def light_on(frame: Frame, lit: Array, config: Any, light: str) -> Array:
+    """The light that a policy looks at, on each pixel or around it, times the share of it that goes beyond.
+
+    Args:
+        frame: the frame.
+        lit: its light, `measured`.
+        config: a `sequence.Config`.
+        light: see `light_of`.
+    """
+    found = jnp.zeros_like(lit)
+    for here, d in _scattering(frame, config):
+        near = surround(lit, here) if light == "surround" else lit
+        found = jnp.where(here, _share(frame, here, d, config) * near, found)
+    return found
+
+
+def _scattering(frame: Frame, config: Any) -> Iterator[tuple[Array, Array]]:
+    """Of each profile that scatters its pixels and the widest channel's shape."""
     for number, d in config.profiles.items():
-        if number == 0 or d is None:
-            continue
-        here = frame.profile_id == number
-        widest = jnp.max(jnp.asarray(d, jnp.float32))
-        scattered, least = here & (widest > 0), config.settings.split
-        if least is not None or lit is not None:
-            depth, d = jnp.where(here, frame.depth, 1), jnp.where(widest > 0, widest, 1)
-            share = split.distant_share(depth, frame.camera, d, config.settings)
-            if least is not None:
-                scattered &= share >= least
-            if lit is not None:
-                found = jnp.where(here, share * (surround(lit, here) if light == "surround" else lit), found)
-        sampled |= scattered
-    nothing = jnp.float32(0)
-    control, around = (nothing, found) if light == "surround" else (found, nothing)
-    return Known(control, around, exact, missing), sampled
+        if number != 0 and d is not None:
+            yield frame.profile_id == number, jnp.max(jnp.asarray(d, jnp.float32))
+
+
+def _share(frame: Frame, here: Array, d: Array, config: Any) -> Array:
+    depth = jnp.where(here, frame.depth, 1)
+    return split.distant_share(depth, frame.camera, jnp.where(d > 0, d, 1), config.settings)
 
 
 def pooled(memory: Any, usable: Array) -> Any:
@@ -59,10 +73,12 @@ def pooled(memory: Any, usable: Array) -> Any:
     """
     if not isinstance(memory, in_frame.History) or memory.gain is None:
         return memory
-    is_lost = memory.is_lost
     own = memory.gain.temporal.astype(jnp.float32), memory.gain.spatial.astype(jnp.float32)
-    # What is lost stays so.
-    shared = tuple(jnp.where(is_lost, v, surround(v, usable & ~is_lost)) for v in own)
+    is_known = jnp.isfinite(own[0]) & jnp.isfinite(own[1])
+    temporal, spatial = (_sums(jnp.where(usable & is_known, v, 0)) for v in own)
+    gain = _spread(jnp.where(spatial > 0, temporal / jnp.where(spatial > 0, spatial, 1), 1), usable.shape)
+    # As a quotient of which the lower number is 1. What is lost stays so.
+    shared = jnp.where(is_known, gain, jnp.nan), jnp.ones_like(gain)
     return eqx.tree_at(lambda m: (m.gain.temporal, m.gain.spatial), memory, shared)
 
 
@@ -80,20 +96,22 @@ def luminance(image: Array) -> Array:
 
 def surround(light: Array, mask: Array) -> Array:
     """The mean of something around the pixels of a mask, 0 where there are none; a NaN is left out."""
-    height, width = light.shape
     mask = mask & jnp.isfinite(light)
-    sums = [
-        jnp.pad(v, ((0, -height % _SURROUND), (0, -width % _SURROUND)))
-        for v in (jnp.where(mask, light, 0), mask)
-    ]
+    total, number = _sums(jnp.where(mask, light, 0)), _sums(mask)
+    return _spread(jnp.where(number > 0, total / jnp.where(number > 0, number, 1), 0), light.shape)
+
+
+def _sums(values: Array) -> Array:
+    """Over each square of pixels, of which the last ones may be cut off."""
+    height, width = values.shape
+    values = jnp.pad(values, ((0, -height % _SURROUND), (0, -width % _SURROUND)))
     for axis in (0, 1):
-        sums = [jnp.sum(_cut(v, axis), axis=axis + 1, dtype=jnp.float32) for v in sums]
-    mean = jnp.where(sums[1] > 0, sums[0] / jnp.where(sums[1] > 0, sums[1], 1), 0)
-    return jnp.repeat(jnp.repeat(mean, _SURROUND, 0), _SURROUND, 1)[:height, :width]
+        shape = list(values.shape)
+        shape[axis : axis + 1] = [shape[axis] // _SURROUND, _SURROUND]
+        values = jnp.sum(values.reshape(shape), axis=axis + 1, dtype=jnp.float32)
+    return values
 
 
-def _cut(values: Array, axis: int) -> Array:
-    """An axis in pieces of the size that the light is averaged over."""
-    shape = list(values.shape)
-    shape[axis : axis + 1] = [shape[axis] // _SURROUND, _SURROUND]
-    return values.reshape(shape)
+def _spread(values: Array, shape: tuple[int, ...]) -> Array:
+    """What each square has, at its pixels."""
+    return jnp.repeat(jnp.repeat(values, _SURROUND, 0), _SURROUND, 1)[: shape[0], : shape[1]]

@@ -29,12 +29,10 @@ def looked_up(
     if frame.motion is None:
         return memory, _missing(now, seen, None, depth_tolerance), False
     place = _footprint.nearest_place(frame.motion)
-    found, is_kept = _at("seen", seen, place)
-    missing = _missing(now, found, frame.motion, depth_tolerance)
-    if is_kept:
-        _spare.keep("seen", found)
-    found, is_kept = _at("memory", memory, place)
-    return found, missing, is_kept
+    missing = _missing(now, seen, place, depth_tolerance)
+    given = memory, place
+    spare = None if _lanes.is_traced(given) else _spare.take("memory", memory, given)
+    return _footprint.look_up(memory, place, spare), missing, spare is not None
 
 
 def give_back(memory: Any) -> None:
@@ -56,16 +54,11 @@ def check_spare(spare: Any, memory: Any) -> None:
         raise ValueError("spare must not have been given before: its memory is gone")
 
 
-def _at(use: str, history: Any, place: Array) -> tuple[Any, bool]:
-    """A history at places, in memory that is to be given back; or, where there is none, in new one."""
-    given = history, place
-    spare = None if _lanes.is_traced(given) else _spare.take(use, history, given)
-    return _footprint.look_up(history, place, spare), spare is not None
-
-
 @jax.jit
-def _missing(now: tuple, seen: tuple, motion: Array | None, depth_tolerance: ArrayLike) -> Array:
-    """As `temporal.disoccluded`; what was seen at the points is looked up."""
-    (depth, number), (seen_depth, seen_number) = now, seen
+def _missing(now: tuple, then: tuple, place: Array | None, depth_tolerance: ArrayLike) -> Array:
+    """As `temporal.disoccluded`, at places that are known."""
+    if place is not None:
+        then = _footprint.at(then[0], place), _footprint.at(then[1], place)
+    (depth, number), (seen_depth, seen_number) = now, then
     lost = temporal.disoccluded(depth, number, seen_depth, seen_number, None, depth_tolerance=depth_tolerance)
-    return lost if motion is None else lost | temporal.off_screen(motion)
+    return lost if place is None else lost | (place < 0)

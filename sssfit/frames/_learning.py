@@ -56,7 +56,10 @@ def after(
     return jax.tree.unflatten(structure, [new[leaf] for leaf in range(len(old))])
 
 
-@functools.partial(jax.jit, static_argnames=("which", "rows"), donate_argnames="kept")
+@functools.partial(
+    jax.jit, static_argnames=("which", "rows"), donate_argnames="kept",
+    compiler_options={"xla_cpu_prefer_vector_width": 512},
+)  # fmt: skip
 def _strips(kept: list[Array], given: Any, which: tuple[int, ...], rows: int) -> list[Array]:
     """Some of the memory's arrays, strip by strip."""
     height, width = given[4].shape

@@ -30,6 +30,8 @@ from sssfit.frames.points import Settings
 from sssfit.frames.render import LARGEST_SEED, SEEDS
 
 _IMAGE, _ORACLE = 0, 1
+#: What is not known of a frame, on the host: to put it onto a device takes a tenth of a millisecond.
+_NONE: Any = np.float32(0)
 #: Weight of the newest frame in the gain of `policies.InFrame`, for points of low discrepancy. It is larger
 #: than a pixel's alone, since the gain is that of 8 by 8 pixels.
 GAIN_ALPHA = 0.1
@@ -192,7 +194,7 @@ def step(
         _history.check_spare(spare.memory, state.memory)
     seeds = SEEDS * config.seed
     options: dict[str, Any] = {"settings": config.settings, "number": state.number}
-    exact = jnp.float32(0)
+    exact = _NONE
     if isinstance(config.policy, policies.Oracle):
         spp = config.oracle_spp
         exact = scatter.image_and_variance(
@@ -202,8 +204,8 @@ def step(
     memory, missing, is_kept = _history.looked_up(state.memory, seen, frame, config.depth_tolerance)
     # The programs have no use for these two, and are the same for all of them.
     shared = dataclasses.replace(config, seed=0, oracle_spp=2)
-    known, sampled = _guidance.known(frame, exact, missing, shared, _guidance.light_of(config.policy))
-    counts = _counts(config.policy, memory, known, sampled)
+    known = _known(frame, exact, missing, shared)
+    counts = _counts(memory, frame, known, shared)
     options |= {"counts": counts, "most": _largest(config.policy), "seed": seeds + _IMAGE}
     if isinstance(config.policy, policies.InFrame):
         image, variance = scatter.image_and_variance(frame, config.profiles, **options)
@@ -253,11 +255,23 @@ def scan(
         yield state, image, info
 
 
+def _known(frame: Frame, exact: Any, missing: Array, config: Config) -> Known:
+    """What the policy is told of a frame before it is sampled."""
+    found, light = _NONE, _guidance.light_of(config.policy)
+    if light is not None:
+        # From a program of its own: each sum over what is around would compute it again.
+        lit = _guidance.measured(frame.irradiance, config.gamma)
+        found = _guidance.light_on(frame, lit, config, light)
+    control, around = (_NONE, found) if light == "surround" else (found, _NONE)
+    return Known(control, around, exact, missing)
+
+
 @jax.jit
-def _counts(policy: Any, memory: Any, known: Known, sampled: Array) -> Array:
+def _counts(memory: Any, frame: Frame, known: Known, config: Config) -> Array:
     """How many samples the pixels draw."""
+    sampled = _guidance.sampled(frame, config)
     memory = _guidance.pooled(memory, sampled & ~known.missing)
-    return jnp.where(sampled, policy.count(memory, known), 0)
+    return jnp.where(sampled, config.policy.count(memory, known), 0)
 
 
 def _largest(policy: Any) -> int:
