@@ -149,11 +149,15 @@ class Static(NamedTuple):
     many: tuple[np.ndarray, np.ndarray]
 
 
-def study_static() -> None:
+def still_head() -> Static:
     head = scene("s2_head", "skin1")
     large = gbuffer.load(FOLDER / "s2_head" / "gbuffer_1080p.exr", FOLDER / "s2_head" / "camera.json")
     frame, large = (f._replace(profile_id=(f.profile_id == 1).astype(jnp.int32)) for f in (head.frame, large))
-    of = Static(frame, large, {1: head.d}, head.mask, many_samples(frame, {1: head.d}))
+    return Static(frame, large, {1: head.d}, head.mask, many_samples(frame, {1: head.d}))
+
+
+def study_static() -> None:
+    of = still_head()
     rows = [static_row(of, f"fixed {spp}", "", "", policies.named("fixed", spp=spp)) for spp in STATIC_EQUAL]
     for most in STATIC_MOST:
         for target in STATIC_TARGETS:
@@ -225,4 +229,33 @@ def time_ratio(frame: Frame, profiles, counts: np.ndarray) -> float:
     return float(np.median(times["counts"] / times["fixed"]))
 
 
-STUDIES = {"flash": study_flash, "static": study_static}
+# --- samples that pixels draw while they wait
+
+
+class WholeSegments(policies.InFrame):
+    """Pixels that are sampled together draw as many as the one of them that wants most."""
+
+    def count(self, state: Any, known: policies.Known) -> Any:
+        return scatter.whole_segments(super().count(state, known))
+
+
+def study_segments() -> None:
+    of, rows = still_head(), []
+    for spp in (16, 24, 32, 48, 64):
+        rows.append(static_row(of, f"fixed {spp}", "", "", policies.named("fixed", spp=spp)))
+        print(rows[-1], flush=True)
+    for target in STATIC_TARGETS:
+        own = policies.named(
+            "in_frame", target_variance=target, max_spp=STATIC_FIXED, gain_alpha=sequence.GAIN_ALPHA
+        )
+        for name, chosen in {
+            "in_frame, gain": own,
+            "the same, whole segments": WholeSegments(own.controller, own.light),
+        }.items():
+            rows.append(static_row(of, name, f"[8, {STATIC_FIXED}]", f"{target:g}", chosen))
+            print(rows[-1], flush=True)
+    wanted = ("policy", "target", "mean count / 64", "in nine times the pixels", "PSNR, dB")
+    write("segments", table([{name: row[name] for name in wanted} for row in rows], 2), PAGE)
+
+
+STUDIES = {"flash": study_flash, "static": study_static, "segments": study_segments}

@@ -4,7 +4,7 @@ Run from the repository root, all studies in some twenty minutes on two cores, o
 
     python docs/scripts/frames_studies.py [beam] [importance] [methods] [spp] [prefilter] [split]
 
-and of docs/sequences.md, in some twenty minutes more: [flash] [static] [delivered] [moving]
+and of docs/sequences.md, in some fifty minutes more: [flash] [static] [segments] [delivered] [moving]
 [cold] [half] [taa] [jitter]
 """
 
