@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import frames_counts as counts
 import frames_memory as memory
 import frames_problem as problems
+import frames_report
 import frames_rivals as rivals
 import frames_rivals_arrays as on_arrays
 import interleaved
 import numpy as np
-import page
 from frames_problem import Given, Problem, Scene
 from frames_rivals import Missing, Program
 
@@ -145,24 +145,14 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Measure, print, and write the page asked for: what each part found, by its name."""
     options = _parser().parse_args(arguments)
     scene = problems.scene(options.width, options.height)
-    parts: dict[str, Callable[[Scene, argparse.Namespace], tuple[Any, str]]] = {
+    parts: dict[str, frames_report.Part] = {
         "rivals": rivals_report,
         "adaptive": counts.adaptive_report,
         "maps": counts.maps_report,
         "ids": ids_report,
         "memory": memory.report,
     }
-    results = {}
-    for part in options.parts:
-        neighbours = interleaved.Neighbours()
-        results[part], text = parts[part](scene, options)
-        rounds = "" if part == "memory" else f" {options.repeats} rounds."
-        conditions = f"{interleaved.machine()}; {neighbours.describe()}.{rounds}"
-        report = f"{conditions} On {scene.name}.\n\n{text}"
-        print(report, flush=True)
-        if options.page:
-            page.replace(options.page, f"frames {part}", report)
-    return results
+    return frames_report.measure(parts, scene, options, "frames")
 
 
 def _parser() -> argparse.ArgumentParser:

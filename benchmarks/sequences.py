@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import frames_problem as problems
+import frames_report
 import interleaved
 import jax
 import jax.numpy as jnp
 import numpy as np
-import page
 from frames_problem import Scene
 from jax import Array
 
@@ -203,22 +203,12 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Measure, print, and write the page asked for: what each part found, by its name."""
     options = _parser().parse_args(arguments)
     scene = problems.scene(options.width, options.height)
-    parts: dict[str, Callable[[Scene, argparse.Namespace], tuple[Any, str]]] = {
+    parts: dict[str, frames_report.Part] = {
         "steps": steps_report,
         "reading": reading_report,
         "memory": memory_report,
     }
-    results = {}
-    for part in options.parts:
-        neighbours = interleaved.Neighbours()
-        results[part], text = parts[part](scene, options)
-        rounds = "" if part == "memory" else f" {options.repeats} rounds."
-        conditions = f"{interleaved.machine()}; {neighbours.describe()}.{rounds}"
-        report = f"{conditions} On {scene.name}.\n\n{text}"
-        print(report, flush=True)
-        if options.page:
-            page.replace(options.page, f"sequences {part}", report)
-    return results
+    return frames_report.measure(parts, scene, options, "sequences")
 
 
 def _parser() -> argparse.ArgumentParser:

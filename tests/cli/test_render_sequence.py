@@ -171,12 +171,8 @@ def test_a_fixed_count(folder, frames, profiles, tmp_path):
         ("as", ["--kappa", "0.1", "--gamma", "2.2"], {"kappa": 0.1, "gamma": 2.2, "alpha": 0.2}),
         ("ccv", ["--light", "surround"], {"light": "surround"}),
         ("unreal", ["--alpha", "0.3", "--history", "float16"], {"alpha": 0.3, "history": "float16"}),
-        (
-            "in_frame",
-            [],
-            {"alpha": 0.02, "light": "surround", "kappa": None, "max_spp": 64, "gain_alpha": 0.1},
-        ),
-        ("in_frame", ["--points", "fresh", "--sequence", "iid"], {"gain_alpha": None}),
+        ("in_frame", [], {"alpha": 0.02, "light": "surround", "kappa": None, "gain_alpha": 0.1}),
+        ("in_frame", ["--points", "fresh", "--sequence", "iid"], {"gain_alpha": None, "max_spp": 64}),
         ("oracle", ["--white", "2.5"], {"alpha": None, "pictures": {"count": 64, "white": 2.5}}),
     ],
 )
@@ -185,9 +181,8 @@ def test_every_mode(folder, frames, profiles, tmp_path, mode, options, constants
     assert render(folder, tmp_path, *given, frames=[str(folder / f"frame_0{k}.exr") for k in (1, 0)]) == 0
     stated = summary(tmp_path)
     assert stated | constants == stated and stated["frames"] == 2
-    named = {
-        n: constants[n] for n in ("kappa", "alpha", "light", "gain_alpha") if constants.get(n) is not None
-    }
+    own = ("kappa", "alpha", "light", "gain_alpha")
+    named = {name: constants[name] for name in own if constants.get(name) is not None}
     policy = policies.named(mode, target_variance=5e-3, **named)
     more = {"gamma": constants.get("gamma", 1.0), "history_dtype": constants.get("history", "float32")}
     if "iid" in options:
