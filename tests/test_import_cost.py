@@ -8,7 +8,8 @@ import pytest
 
 SOLVERS = ["optimistix", "jaxopt", "scipy.optimize", "equinox", "lineax"]
 IMAGES = ["OpenEXR", "PIL"]
-PLOTS = ["matplotlib"]
+PLOTS = ["matplotlib", "corner"]
+CHAINS = ["emcee", "h5py"]
 
 CODE = """
 import json, sys
@@ -50,6 +51,11 @@ def test_topics_load_jax_and_no_solver(topic):
     assert modules.isdisjoint([*SOLVERS, *IMAGES, *PLOTS])
     assert flags == loaded_by("jax")[1]
     assert flags["jax_enable_x64"] is False
+
+
+def test_posteriors_load_no_sampler():
+    modules, _ = loaded_by("sssfit.fitting.posterior")
+    assert modules.isdisjoint(["optimistix", "jaxopt", *IMAGES, *PLOTS, *CHAINS, "rich"])
 
 
 def test_estimators_load_modules_and_no_solver():

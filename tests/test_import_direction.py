@@ -23,6 +23,10 @@ ALLOWED = {
 SOLVERS = ("optimistix", "jaxopt", "scipy.optimize")
 # The one file that may import solvers.
 ADAPTER = "fitting/solve.py"
+# The one file that may import what draws posteriors.
+SAMPLER, SAMPLING = "emcee", "fitting/posterior.py"
+# What else is heavy and not always needed.
+LATE = ("matplotlib", "corner", "h5py", SAMPLER)
 
 
 def imports(source, package=()):
@@ -122,12 +126,17 @@ def test_one_file_knows_the_solvers():
     ] == []
 
 
-def test_plots_are_imported_when_they_are_drawn():
-    plotting = [
+def test_one_file_knows_the_sampler():
+    assert {file for file in files() for m, _ in imports_of(file) if is_within(m, SAMPLER)} == {SAMPLING}
+
+
+@pytest.mark.parametrize("library", LATE)
+def test_plots_and_chains_are_imported_when_they_are_used(library):
+    users = [
         (file, at_load)
         for file in files()
         for module, at_load in imports_of(file)
-        if is_within(module, "matplotlib")
+        if is_within(module, library)
     ]
-    assert plotting
-    assert [file for file, at_load in plotting if at_load] == []
+    assert users
+    assert [file for file, at_load in users if at_load] == []

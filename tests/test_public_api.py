@@ -51,7 +51,7 @@ FORMULAS = (
 
 
 # Private files whose names are public in another one.
-REEXPORTED = ("estimators/_state.py",)
+REEXPORTED = ("estimators/_state.py", "fitting/_posterior_result.py")
 
 
 def is_public(file):

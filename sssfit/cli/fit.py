@@ -1,10 +1,9 @@
-"""`sssfit fit c` and `sssfit fit separable`: one parameter fit each."""
+"""`sssfit fit`: c and a separable falloff here, measured profiles in `fit_profile`."""
 
 import argparse
-import dataclasses
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+
+from sssfit.cli import fit_profile
+from sssfit.cli.printing import busy, plain, print_json, print_table
 
 _C_EXAMPLE = """\
 examples:
@@ -56,6 +55,7 @@ def add_command(commands) -> None:
         )
         fit.add_argument("--json", action="store_true", help="print the whole result as JSON")
         fit.add_argument("--quiet", action="store_true", help="print the fitted numbers alone")
+    fit_profile.add_command(fits)
 
 
 def _add_separable_options(command, module) -> None:
@@ -91,16 +91,16 @@ def run_c(options: argparse.Namespace) -> int:
     """Run `sssfit fit c`."""
     from sssfit.fitting.inverse_cdf import fit_c
 
-    with _busy(options, f"fitting c, {options.objective}"):
+    with busy(options, f"fitting c, {options.objective}"):
         result = fit_c(options.objective, options.solver)
     if options.json:
-        _print_json(_plain(result))
+        print_json(plain(result))
     elif options.quiet:
         print(f"{result.c:.6g}")
     else:
         rows = [("c", f"{result.c:.10g}"), ("objective", result.objective)]
-        rows += [(name.replace("_", " "), f"{value:.6g}") for name, value in _plain(result.report).items()]
-        _print_table(["", "value"], rows)
+        rows += [(name.replace("_", " "), f"{value:.6g}") for name, value in plain(result.report).items()]
+        print_table(["", "value"], rows)
         _print_solvers(result)
     return 0 if result.converged else 1
 
@@ -116,7 +116,7 @@ def run_separable(options: argparse.Namespace) -> int:
         changes |= {"lower": options.domain[0], "upper": options.domain[1]}
     default = separable_to_burley.DEFAULT_DOMAINS[options.objective]
     domain = default._replace(**{name: value for name, value in changes.items() if value is not None})
-    with _busy(options, "fitting"):
+    with busy(options, "fitting"):
         results = [
             separable_to_burley.fit(
                 falloff,
@@ -130,12 +130,12 @@ def run_separable(options: argparse.Namespace) -> int:
             for falloff in options.falloff
         ]
     if options.json:
-        _print_json({"domain": domain._asdict(), "fits": [_plain(result) for result in results]})
+        print_json({"domain": domain._asdict(), "fits": [plain(result) for result in results]})
     elif options.quiet:
         for result in results:
             print(f"{result.albedo:.6g} {result.d:.6g} {result.dmfp:.6g}")
     else:
-        _print_table(
+        print_table(
             ["falloff", "albedo", "d [mm]", "dmfp [mm]", "residual"],
             [_separable_row(result) for result in results],
         )
@@ -159,45 +159,7 @@ def _separable_row(result) -> tuple[str, ...]:
     )
 
 
-def _plain(value: Any) -> Any:
-    """Dataclasses and arrays as JSON-compatible values."""
-    if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return value.tolist() if hasattr(value, "tolist") else value
-
-
-def _print_json(value: Any) -> None:
-    from sssfit.files.json_text import json_text
-
-    print(json_text(value), end="")
-
-
-def _print_table(head: list[str], rows) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*head, box=box.SIMPLE)
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
-
-
 def _print_solvers(result) -> None:
     print(f"{result.status}")
     if len(result.solutions) > 1:
         print(f"the solvers disagree by at most {result.disagreement:.1e}")
-
-
-@contextmanager
-def _busy(options: argparse.Namespace, text: str) -> Iterator[None]:
-    """A spinner on a terminal while a fit compiles and runs, which Ctrl-C must not tear apart."""
-    from sssfit.files.atomic import interrupt_deferred
-
-    with interrupt_deferred():
-        from rich.console import Console
-    console = Console(stderr=True, quiet=options.quiet or options.json)
-    with interrupt_deferred(), console.status(text):
-        yield

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from sssfit.fitting import quadrature, solve
+from sssfit.fitting import quadrature, sensitivity, solve
 from sssfit.fitting.solve import Solution, SolverChoice
 from sssfit.profiles import burley
 
@@ -124,6 +124,42 @@ def fit_c(objective: Objective = "cdf_mse", solver: SolverChoice = "optimistix")
         solutions=solutions,
         disagreement=max(values) - min(values),
     )
+
+
+def weight_sensitivity(objective: Objective, c: float) -> tuple[np.ndarray, np.ndarray]:
+    """How a fitted c moves when a part of xi is given more weight: dc / dw(xi), where w is 1 everywhere.
+
+    Args:
+        objective: what c minimizes, one whose misfit is an integral of squares: not "cdf_minimax" or
+            "mean_radius".
+        c: the fitted constant, from `fit_c`.
+
+    Returns:
+        xi, ascending in (0, 1), and the density of the derivative there, each of shape (768,). Weighting
+        (xi, xi + dxi) by 1 + e moves c by e dxi times it; its integral is 0, as weighting all of xi alike
+        changes nothing.
+
+    Raises:
+        ValueError: the objective has no weights.
+
+    Source: the implicit function theorem, see `sensitivity`.
+
+    Example:
+        >>> xi, moved = weight_sensitivity("cdf_mse", fit_c("cdf_mse").c)
+        >>> abs(float(np.trapezoid(moved, xi))) < 1e-4
+        True
+    """
+    if objective not in OBJECTIVES or objective in ("cdf_minimax", "mean_radius"):
+        raise ValueError(f"objective must be an integral over xi, got {objective!r}")
+    with jax.enable_x64(True):
+        grid = _grid()
+
+        def fitted(extra):
+            weighted = grid._replace(weights=grid.weights * (1 + extra))
+            return sensitivity.optimum(_RESIDUALS[objective], weighted, jnp.array([c]))[0]
+
+        moved = jax.jit(jax.grad(fitted))(jnp.zeros_like(grid.weights))
+        return np.asarray(-jnp.expm1(-grid.s)), np.asarray(moved / grid.weights)
 
 
 def report(c: float) -> ErrorReport:

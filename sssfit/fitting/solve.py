@@ -26,6 +26,8 @@ Residuals = Callable[[Array, Any], Array]
 
 _MAX_STEPS = 1000
 _TOLERANCE = 1e-11
+_COST_TOLERANCE = 1e-15
+_REST = 1e-8
 # Newton's error is squared by a step, so this one leaves rounding alone.
 _ROOT_TOLERANCE = 1e-8
 
@@ -99,7 +101,7 @@ def least_squares(
     with jax.enable_x64(True):
         parameters, converged, status = run(residuals, problem, start, lower, upper)
         parameters = np.clip(np.asarray(parameters, np.float64), lower, upper)
-        cost = 0.5 * float(np.sum(np.square(residuals(jnp.asarray(parameters), problem))))
+        cost = 0.5 * float(np.sum(np.square(_compiled(residuals)[0](parameters, problem))))
     return Solution(solver, parameters, cost, bool(converged) and bool(np.isfinite(cost)), status)
 
 
@@ -208,8 +210,22 @@ def _optimistix(residuals, problem, start, lower, upper):
     import optimistix
 
     parameters, result = _compiled_levenberg_marquardt(residuals, problem, start, lower, upper)
-    converged = bool(succeeded(result))
-    return parameters, converged, "converged" if converged else optimistix.RESULTS[result]
+    if bool(succeeded(result)):
+        return parameters, True, "converged"
+    # Where rounding moves the cost by more than its tolerance, steps are refused until none are left.
+    if _is_at_rest(residuals, problem, np.asarray(parameters), lower, upper):
+        return parameters, True, "converged to rounding"
+    return parameters, False, optimistix.RESULTS[result]
+
+
+def _is_at_rest(residuals, problem, parameters, lower, upper) -> bool:
+    """Whether a step of Gauss and Newton's method from here is nothing beside the parameters."""
+    free = (parameters > lower) & (parameters < upper)
+    left, slopes = (np.asarray(part(parameters, problem)) for part in _compiled(residuals))
+    if not (np.all(np.isfinite(left)) and np.all(np.isfinite(slopes))):
+        return False
+    step = np.linalg.lstsq(slopes[:, free], left, rcond=None)[0]
+    return bool(np.all(np.abs(step) <= _REST * (1 + np.abs(parameters[free]))))
 
 
 @functools.cache
@@ -252,7 +268,8 @@ def _scipy(residuals, problem, start, lower, upper):
         args=(problem,),
         bounds=(lower, upper),
         method="trf",
-        ftol=_TOLERANCE,
+        # The cost is flat at its minimum: the parameters are as good as the root of what it changes by.
+        ftol=_COST_TOLERANCE,
         xtol=_TOLERANCE,
         gtol=_TOLERANCE,
         max_nfev=_MAX_STEPS,

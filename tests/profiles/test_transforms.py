@@ -33,6 +33,9 @@ ELEMENTWISE = {
     "dmfp_from_coefficients": (burley.dmfp_from_coefficients, (LENGTH, QUANTITY, QUANTITY)),
     "fresnel_diffuse_reflectance": (dipole.fresnel_diffuse_reflectance, (LENGTH,)),
     "diffuse_reflectance": (dipole.diffuse_reflectance, (LENGTH, QUANTITY, LENGTH)),
+    "effective_transport": (dipole.effective_transport, (LENGTH, QUANTITY)),
+    "dipole.profile": (dipole.profile, (QUANTITY, LENGTH, QUANTITY, LENGTH)),
+    "dipole.sf": (dipole.sf, (QUANTITY, LENGTH, QUANTITY, LENGTH)),
     **{
         name: (getattr(separable, name), (QUANTITY, LENGTH))
         for name in ("line_spread", "line_sf", "line_excess")
