@@ -116,6 +116,19 @@ def test_fits(load, page):
     assert page.read_text().count(", 16 fits: first call") == 2
 
 
+def test_profiles(load, page):
+    sizes = ["--number", "16", "--few", "4", "--repeats", "1", "--steps", "20"]
+    results = load("profiles").main([*sizes, "--page", str(page)])
+    reference = results["measured_many"].parameters
+    assert reference.shape == (16, 2)
+    for name, result in results.items():
+        np.testing.assert_allclose(
+            result.parameters, reference[: len(result.parameters)], rtol=1e-4, err_msg=name
+        )
+        assert np.all(result.seconds > 0)
+    assert page.read_text().count("16 curves of 48 points: first call") == 1
+
+
 def some_frames(module):
     """A frame of each kind: state alone, vectors, counts, and results besides the state."""
     kinds = [("`ema`, 3 channels", "float32, a weight each"), ("`emcm`, 2 channels", "float16, one weight")]

@@ -24,6 +24,8 @@ _BADLY_KNOWN = 0.2
 # One that is less certain than this is not determined: its 95 % interval spans a factor of four each way.
 _UNDETERMINED = 0.7
 _AT_BOUND = 1e-7
+# What is left of a value below this share of it is rounding, and a solver's.
+_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,8 @@ def found(
     used = np.asarray(problem.root_weights) > 0
     dof = int(used.sum()) - len(y)
     left = np.where(used, data.values[:, columns] - fitted, 0)
+    # Of rounding the signs are no misfit.
+    left[np.abs(left) < _ROUNDING * np.abs(fitted)] = 0
     sigma = data.sigma[:, columns] if data.sigma is not None else _noise(setup.loss, problem, left, dof)
     standardized = left / sigma
     factor, misfit = intervals.misfit(standardized, dof, is_known and setup.loss == "linear")

@@ -114,8 +114,11 @@ def misfit(residuals: np.ndarray, dof: int, is_noise_known: bool) -> tuple[float
     too_large = is_noise_known and dof > 0 and stats.chi2.sf(chi2, dof) < _MISFIT_CHANCE
     if not (too_few or too_large):
         return 1.0, ""
-    factor = max(1.0, chi2 / dof) if is_noise_known else 1.0
-    factor *= max(1.0, count / (2 * swings)) if too_few else 1.0
+    # Swings that are small beside a known noise take nothing from what the data say.
+    size = chi2 / dof if is_noise_known and dof > 0 else 1.0
+    factor = size * max(1.0, count / (2 * swings)) if too_few else size
+    if factor <= 1:
+        return 1.0, ""
     words = [f"chi2 per degree of freedom is {chi2 / dof:.3g}"] if too_large else []
     words += [f"the residuals of {count} points change their sign only {changes} times"] * too_few
     return factor, (
@@ -175,10 +178,13 @@ def covariance(design: np.ndarray, noise: np.ndarray) -> np.ndarray:
         >>> covariance(np.array([[2.0, 0.0], [0.0, 0.0]]), np.ones(2)).tolist()
         [[0.25, 0.0], [0.0, inf]]
     """
+    # Of fewer points than parameters some directions would have no singular value.
+    missing = max(design.shape[1] - len(design), 0)
+    design, noise = np.pad(design, ((0, missing), (0, 0))), np.pad(noise, (0, missing))
     size = np.linalg.norm(design, axis=0)
     scale = np.where(size > 0, size, 1.0)
     left, strengths, right = np.linalg.svd(design / scale, full_matrices=False)
-    known = strengths > _NO_INFORMATION * strengths[0]
+    known = strengths > _NO_INFORMATION * np.max(strengths, initial=0.0)
     inverse = (right[known].T / strengths[known]) @ left[:, known].T
     scaled = inverse * noise / scale[:, None]
     result = scaled @ scaled.T

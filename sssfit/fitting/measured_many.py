@@ -83,7 +83,12 @@ def fit(
     rows = np.asarray(values, np.float64)
     if rows.ndim != 2 or rows.size == 0:
         raise ValueError(f"values must be of shape (number, m), got {rows.shape}")
-    sigma = np.broadcast_to(np.asarray(sigma, np.float64), rows.shape)
+    try:
+        sigma = np.broadcast_to(np.asarray(sigma, np.float64), rows.shape)
+    except ValueError:
+        raise ValueError(
+            f"sigma must be a number or of the shape of values {rows.shape}, got {np.shape(sigma)}"
+        ) from None
     data = _curve_data.checked(r, rows.T, sigma.T, chosen, response)
     if len(data.r) < len(chosen.parameters):
         needed = f"{len(chosen.parameters)} points for the parameters of {chosen.name}"

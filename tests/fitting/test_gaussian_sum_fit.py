@@ -88,8 +88,7 @@ def test_relative_error_is_that_of_the_curves():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("k", range(1, 9))
-@pytest.mark.parametrize("channel", MARBLE)
+@pytest.mark.parametrize("channel, k", [*(("G", k) for k in (2, 4, 6, 8)), ("R", 8), ("B", 8)])
 def test_the_three_solvers_agree(channel, k):
     result = marble(channel, k, "all")
     assert result.converged, result.status
@@ -101,9 +100,8 @@ def test_the_three_solvers_agree(channel, k):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("channel", MARBLE)
-def test_one_more_gaussian_is_better(channel):
-    errors = [marble(channel, k).relative_error for k in range(1, 9)]
+def test_one_more_gaussian_is_better():
+    errors = [marble("G", k).relative_error for k in range(1, 9)]
     assert np.all(np.diff(np.log(errors)) < np.log(0.6))
 
 

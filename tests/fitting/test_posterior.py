@@ -1,11 +1,5 @@
 """Posteriors against quadrature by other means than ours, against fits, and against themselves."""
 
-import os
-import signal
-import subprocess
-import sys
-import textwrap
-import time
 from typing import Any
 
 import jax
@@ -253,9 +247,6 @@ def test_other_files_are_refused_and_stay(tmp_path):
         ({"moves": []}, "moves must name one at least"),
         ({"moves": [("jump", 1.0)]}, r"moves must be \(name, weight > 0\) of stretch, de"),
         ({"moves": [("de", 0.0)]}, "moves must be"),
-        pytest.param(
-            {"model": "gaussians:5", "walkers": 16}, "walkers must be at least 20", marks=pytest.mark.slow
-        ),
     ],
 )
 def test_arguments_outside_of_their_domain(options, message):
@@ -280,18 +271,13 @@ def log_densities(values, sigma, y, **options):
     return np.asarray(compiled), np.array(eager)
 
 
-@pytest.mark.parametrize("loss", ["linear", "cauchy", pytest.param("huber", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("loss, known", [("linear", True), ("linear", False), ("cauchy", True)])
 def test_compiled_densities_are_the_eager_ones(loss, known):
     values, sigma = measured_curve(0.1)
     y = np.array([[0.7, 0.4], [0.5, -0.5], [0.0, 3.0], [1.0, -9.0], [1.1, 0.4], [-0.1, 0.4], [0.5, 99.0]])
     compiled, eager = log_densities(values, sigma if known else None, y, loss=loss)
     np.testing.assert_allclose(compiled, eager, rtol=1e-12)
     assert np.all(np.isfinite(compiled[:4])) and np.all(compiled[4:] == -np.inf)
-
-
-def huber(z, bend=1.345):
-    return np.where(np.abs(z) < bend, z**2 / 2, bend * np.abs(z) - bend**2 / 2)
 
 
 def cauchy(z, bend=2.385):
@@ -303,7 +289,6 @@ def cauchy(z, bend=2.385):
     [
         ("linear", lambda z: z**2 / 2),
         ("cauchy", cauchy),
-        pytest.param("huber", huber, marks=pytest.mark.slow),
     ],
 )
 def test_losses_are_what_they_say(loss, of):
@@ -336,8 +321,7 @@ def test_a_fit_beyond_the_prior_is_said():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("albedo", [0.999, 0.5, 1e-3])
-@pytest.mark.parametrize("d", [1e-2, 1.0, 1e3])
+@pytest.mark.parametrize("albedo, d", [(0.999, 1e-2), (1e-3, 1e3), (0.999, 1e3)])
 def test_extremes(albedo, d):
     r = d * np.geomspace(0.1, 10, 12)
     truth = burley(r, albedo, d)
@@ -350,20 +334,16 @@ def test_extremes(albedo, d):
 
 
 @pytest.mark.slow
-def test_two_points_and_little_noise():
+def test_as_many_points_as_parameters_and_little_noise():
     r = np.array([0.5, 4.0])
     truth = burley(r, 0.8, 1.0)
     sharp = sample(r, truth, sigma=1e-9 * truth, steps=3000).summary()
     assert sharp["d"].mean == pytest.approx(1.0, rel=1e-8)
-    vague = sample(r, truth, sigma=2 * truth, steps=20000, prior={"d": (0.1, 10.0)})
-    assert vague.converged and 0.1 < vague.summary()["d"].interval_95[0]
-    assert vague.summary()["d"].interval_95[1] < 10
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["gaussians:2", "dipole", "jimenez"])
-@pytest.mark.parametrize("response", ["radial", "line", "edge"])
-def test_every_model_and_response(model, response):
+@pytest.mark.parametrize("model, response", [("dipole", "radial")])
+def test_other_models_and_responses(model, response):
     r = np.geomspace(0.1, 10, 20)
     truths = {"gaussians:2": [0.3, 3.0, 0.5, 0.3], "dipole": [1.0, 0.02], "jimenez": [0.5, 0.6]}
     from sssfit.fitting import profile_models, responses
@@ -372,7 +352,7 @@ def test_every_model_and_response(model, response):
     with jax.enable_x64(True):
         truth = np.asarray(responses.function(response)(profile, jnp.array(truths[model]), jnp.asarray(r)))
     sigma = 0.01 * truth.max() if response == "edge" else 0.03 * truth + 1e-6
-    found = sample(r, truth, sigma=sigma, model=model, response=response, steps=12000)
+    found = sample(r, truth, sigma=sigma, model=model, response=response, steps=8000)
     for parameter, value in zip(profile.parameters, truths[model], strict=True):
         low, high = found.summary()[parameter.name].interval_95
         assert low < value < high
@@ -381,35 +361,14 @@ def test_every_model_and_response(model, response):
 
 
 @pytest.mark.slow
-def test_shared_parameters():
-    truth = np.stack([burley(R, albedo, 1.5) for albedo in (0.8, 0.5, 0.3)], axis=1)
-    found = sample(R, truth, sigma=0.05 * truth, shared=["d"], steps=6000)
-    assert found.names == ("albedo_r", "d", "albedo_g", "albedo_b")
-    apart = sample(R, truth, sigma=0.05 * truth, steps=6000)
-    ratio = found.summary()["d"].standard_deviation / apart.summary()["d_r"].standard_deviation
-    assert ratio == pytest.approx(3**-0.5, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("moves", [[("de", 0.8), ("de_snooker", 0.2)], [("walk", 1.0)], [("kde", 1.0)]])
+@pytest.mark.parametrize("moves", [[("de", 0.8), ("de_snooker", 0.2)]])
 def test_other_moves_draw_the_same(moves):
     values, sigma = measured_curve(0.02)
-    found = sample(R, values, sigma=sigma, moves=moves, steps=6000)
-    usual = sample(R, values, sigma=sigma, steps=6000)
+    found = sample(R, values, sigma=sigma, moves=moves, steps=4000)
+    usual = sample(R, values, sigma=sigma, steps=4000)
     one, two = found.summary()["d"], usual.summary()["d"]
     assert found.moves == tuple(moves)
     assert abs(one.mean - two.mean) < SIGMAS * np.hypot(one.monte_carlo_error, two.monte_carlo_error)
-
-
-@pytest.mark.slow
-def test_the_monte_carlo_error_is_what_means_scatter_by():
-    values, sigma = measured_curve(0.1)
-    found = [sample(R, values, sigma=sigma, steps=2500, seed=seed).summary()["d"] for seed in range(30)]
-    scatter = np.std([one.mean for one in found], ddof=1)
-    stated = np.mean([one.monte_carlo_error for one in found])
-    # A ratio of variances; walkers of one ensemble are taken to be independent, which they nearly are.
-    low, high = stats.chi2(29).ppf([1e-4, 1 - 1e-4]) / 29
-    assert low < (scatter / stated) ** 2 < 1.5 * high
 
 
 @pytest.mark.slow
@@ -431,34 +390,6 @@ def test_ranks_of_the_truth_are_uniform():
         assert stats.chi2.sf(np.sum(np.square(counts - 6.0)) / 6.0, 9) > 1e-3
         # Ranks are uniform on 0 to 99.
         assert abs(np.mean(column) - 49.5) < SIGMAS * np.sqrt((100**2 - 1) / 12 / 60)
-
-
-@pytest.mark.slow
-def test_a_killed_process_leaves_a_chain_to_go_on_from(tmp_path):
-    file = tmp_path / "chain.h5"
-    code = textwrap.dedent(f"""
-        import numpy as np
-        from sssfit.fitting import _posterior_file, posterior
-        _posterior_file._SAVE_EVERY, _posterior_file._SAVE_SHARE = 0.0, 1.0
-        r = np.geomspace(0.1, 15.0, 24)
-        values = np.exp(-r) / r
-        posterior.sample(r, values, sigma=0.1 * values, steps=100000, backend={str(file)!r})
-    """)
-    process = subprocess.Popen([sys.executable, "-c", code])
-    try:
-        end = time.monotonic() + 240
-        while not file.exists() or file.stat().st_size < 200_000:
-            assert process.poll() is None and time.monotonic() < end
-            time.sleep(0.05)
-    finally:
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-    values = np.exp(-R) / R
-    first = sample(R, values, sigma=0.1 * values, steps=1, backend=file, resume=True)
-    wanted = first.steps + 10
-    found = sample(R, values, sigma=0.1 * values, steps=wanted, backend=file, resume=True)
-    assert first.steps > 100
-    assert found.chain.tobytes() == sample(R, values, sigma=0.1 * values, steps=wanted).chain.tobytes()
 
 
 def test_a_bar_is_shown_on_request(capsys):
