@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
         from sssfit.frames.sequence_ledger import clear
     models = _models(options)
     _check(options, models)
-    data = _measurement(options)
+    data = _same_points(options, models, _measurement(options))
     manifest = {"command": "fit profile", "options": _asked(options)}
     if options.resume:
         clear(options.out)
@@ -169,6 +169,18 @@ def _measurement(options: argparse.Namespace):
         return measurement_image.load_image(options.data, response=options.response, **given)
 
 
+def _same_points(options: argparse.Namespace, models, data):
+    """The points that every model is fitted to."""
+    from sssfit.fitting import model_choice
+
+    if len(models) == 1:
+        return data
+    points = model_choice.same_points(data.r, data.values, data.sigma, list(models), options.response)
+    return data._replace(
+        r=points.r, values=points.values, sigma=points.sigma, notes=data.notes + points.notes
+    )
+
+
 def _asked(options: argparse.Namespace) -> dict[str, Any]:
     """The options, for the record; the data by its name, and what was in it."""
     from sssfit.files.json_text import sha256_bytes
@@ -192,25 +204,16 @@ def _fitted(options: argparse.Namespace, models, data) -> list:
     """A fit by each model, the best first."""
     from sssfit.fitting import measured
 
-    r, values, sigma = _same_points(models, data) if len(models) > 1 else data[:3]
     fits = []
     for name in models:
         with busy(options, f"fitting {name}"):
             fits.append(
                 measured.fit(
-                    r, values, sigma=sigma, model=name, solver=options.solver, **_arguments(options, data)
+                    data.r, data.values, sigma=data.sigma, model=name, solver=options.solver,
+                    **_arguments(options, data),
                 )
-            )
+            )  # fmt: skip
     return sorted(fits, key=lambda fit: fit.aicc if math.isfinite(fit.aicc) else math.inf)
-
-
-def _same_points(models, data):
-    """The points that every model is fitted to; else their criteria would not compare."""
-    from sssfit.fitting.profile_models import Burley
-
-    # Burley's profile is infinite at 0, and leaves that point out.
-    used = data.r != 0 if any(isinstance(model, Burley) for model in models.values()) else slice(None)
-    return data.r[used], data.values[used], None if data.sigma is None else data.sigma[used]
 
 
 def _sampled(options: argparse.Namespace, fit, data):

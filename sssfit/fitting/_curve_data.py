@@ -6,7 +6,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from jax.typing import ArrayLike
 
-from sssfit.fitting.profile_models import Burley, Model
+from sssfit.fitting.profile_model import Model
+from sssfit.fitting.profile_models import Burley
 from sssfit.fitting.responses import Response
 
 Weighting = Literal["sigma", "area", "relative"]
@@ -58,13 +59,22 @@ def checked(
     if sigma is not None:
         sigma = _checked_sigma(np.asarray(sigma, np.float64), values)
     _check_signs(r, values, sigma)
-    notes = ()
-    if r[0] == 0 and response in ("radial", "line") and isinstance(model, Burley):
-        notes = ("the point at r = 0 is left out: Burley's profile is infinite there",)
-        r, values, sigma = r[1:], values[1:], None if sigma is None else sigma[1:]
-    if len(r) == 0:
+    return without_singular_point(CurveData(r, values, sigma, ()), [model], response)
+
+
+def without_singular_point(data: CurveData, models: Sequence[Model], response: Response) -> CurveData:
+    """The points that all of the models can be fitted to, with a note on what is left out.
+
+    Raises:
+        ValueError: none is left.
+    """
+    if data.r[0] != 0 or response not in ("radial", "line") or not any(isinstance(m, Burley) for m in models):
+        return data
+    if len(data.r) == 1:
         raise ValueError("values must hold a point at r > 0, where Burley's profile is finite")
-    return CurveData(r, values, sigma, notes)
+    note = "the point at r = 0 is left out: Burley's profile is infinite there"
+    sigma = None if data.sigma is None else data.sigma[1:]
+    return CurveData(data.r[1:], data.values[1:], sigma, (*data.notes, note))
 
 
 def _finite(name: str, array: np.ndarray) -> None:

@@ -1,12 +1,12 @@
 """The least-squares problem behind a fit of measured curves: what is free, its residuals, and where to begin.
 
 What a solver moves are `z`: logarithms of lengths, areas and coefficients, and shares in units of the
-problem's own share, so that all of them are of one size whatever the data's units. Several channels form one
-problem, in which they may share parameters.
+problem's own share, so that all of them are of one size whatever the data's units. `y` are the same with
+shares as they are. Several channels form one problem, in which they may share parameters.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from sssfit.fitting.profile_models import Model, Parameter
+from sssfit.fitting.profile_model import Model, Parameter
 
 Loss = Literal["linear", "huber", "soft_l1", "cauchy"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
@@ -103,10 +103,32 @@ def solved_for(setup: Setup, p: Array, share: Array) -> Array:
     return jnp.where(setup.is_share, p / share, jnp.log(jnp.where(setup.is_share, 1.0, p)))
 
 
+def in_logarithms(setup: Setup, p: np.ndarray) -> np.ndarray:
+    """`y`: logarithms, and shares as they are, shape (..., n); the logarithm of 0 is -inf."""
+    with np.errstate(divide="ignore"):
+        return np.where(setup.is_share, p, np.log(np.where(setup.is_share, 1.0, p)))
+
+
+def suffix(setup: Setup, row: tuple[int, ...], names: Sequence[str]) -> str:
+    """What a channel's own parameters have after the model's names, with its places in `names`."""
+    own = [names[place][len(part.name) :] for place, part in zip(row, setup.model.parameters, strict=True)]
+    return max(own, key=len)
+
+
 def curves(setup: Setup, p: Array, r: Array) -> Array:
     """The model's values at distances (m,) for all channels, shape (m, channels)."""
     each = [setup.response(setup.model, p[jnp.array(row)], r) for row in setup.layout]
     return jnp.stack(each, axis=1)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def linearized(setup: Setup, y: Array, r: Array) -> tuple[Array, Array]:
+    """Values of all channels (m, channels), and their derivatives in `y` (m, channels, n)."""
+
+    def of(y):
+        return curves(setup, physical(setup, y, jnp.ones(())), r)
+
+    return of(y), jax.jacfwd(of)(y)
 
 
 @functools.cache

@@ -1,8 +1,6 @@
-"""From solvers' answers to estimates: covariance, intervals, what follows from the parameters, and notes.
+"""From solvers' answers to estimates: covariance, intervals and notes, for `y` of `_curve_problem`."""
 
-Here `y` are the logarithms of lengths, areas and coefficients, and shares as they are.
-"""
-
+import dataclasses
 import functools
 import math
 from dataclasses import dataclass
@@ -10,19 +8,15 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from sssfit.fitting import _curve_problem, intervals, sensitivity, solve
+from sssfit.fitting import _curve_problem, _derived, intervals, sensitivity, solve
 from sssfit.fitting._curve_data import CurveData
 from sssfit.fitting._curve_problem import Curves, Loss, Setup
 from sssfit.fitting.intervals import Estimate
-from sssfit.fitting.profile_models import DERIVED_UNITS
 from sssfit.fitting.solve import Solution
 
 # A logarithm, or a share over itself, that is less certain than this has intervals from the likelihood.
 _BADLY_KNOWN = 0.2
-# One that is less certain than this is not determined: its 95 % interval spans a factor of four each way.
-_UNDETERMINED = 0.7
 _AT_BOUND = 1e-7
 # What is left of a value below this share of it is rounding, and a solver's.
 _ROUNDING = 1e-11
@@ -79,7 +73,7 @@ def found(
     unit = np.where(setup.is_share, float(problem.share), 1.0)
     y = z * unit
     p = _natural(y, setup.is_share)
-    fitted, slopes = (np.asarray(a) for a in _linearized(setup, y, problem.r))
+    fitted, slopes = (np.asarray(a) for a in _curve_problem.linearized(setup, y, problem.r))
     used = np.asarray(problem.root_weights) > 0
     dof = int(used.sum()) - len(y)
     left = np.where(used, data.values[:, columns] - fitted, 0)
@@ -87,17 +81,29 @@ def found(
     left[np.abs(left) < _ROUNDING * np.abs(fitted)] = 0
     sigma = data.sigma[:, columns] if data.sigma is not None else _noise(setup.loss, problem, left, dof)
     standardized = left / sigma
-    factor, misfit = intervals.misfit(standardized, dof, is_known and setup.loss == "linear")
     held = (z - bounds[0] < _AT_BOUND) | (bounds[1] - z < _AT_BOUND)
-    covariance = factor * _covariance(setup.loss, problem, slopes, sigma, standardized, held)
+    covariance = _covariance(setup.loss, problem, slopes, sigma, standardized, held)
+    # Whether differences weigh as their noise says: chi2 then is what was minimized.
+    is_weighed = not is_known or np.ptp((np.asarray(problem.root_weights) * sigma)[used]) < _ROUNDING
+    expected = dof if is_weighed else _expected_chi2(slopes, sigma, used, covariance, held)
+    factor, misfit = intervals.misfit(standardized, expected, is_known and setup.loss == "linear")
+    covariance = factor * covariance
     widths = tuple(intervals.half_width(level, math.inf if is_known else dof) for level in intervals.LEVELS)
     roots = used / sigma / math.sqrt(factor)
     likelihood = _Likelihood(setup, problem._replace(root_weights=roots, noise=np.ones(())), z, bounds)
+    pulled = _pulled(setup, problem, slopes, p, held, bounds[1] - z < _AT_BOUND)
     estimates = {
-        name: _estimate(setup, i, (y[i], p[i], unit[i]), covariance, held, widths, likelihood)
+        name: _opened(
+            _estimate(
+                setup, i, (y[i], p[i], unit[i]), covariance, held, widths, likelihood if is_weighed else None
+            ),
+            pulled[i],
+        )
         for i, name in enumerate(names)
     }
-    derived = _derived(setup, names, y, covariance, widths)
+    derived = _derived.derived(
+        setup, names, y, covariance, widths, [one.determined for one in estimates.values()]
+    )
     in_logarithms = (slopes * np.where(setup.is_share, y, 1.0) * roots[..., None])[used]
     notes = [misfit] if misfit else []
     notes += [f"{names[i]} lies on its bound, {p[i]:.4g}" for i in np.flatnonzero(held)]
@@ -120,16 +126,6 @@ def found(
         disagreement=_disagreement(setup, solutions, problem, [estimates[name] for name in names]),
         notes=tuple(notes),
     )
-
-
-def curve_of(setup: Setup, y: Array, r: Array) -> Array:
-    """The model's values at distances (m,) for all channels, shape (m, channels)."""
-    return _curve_problem.curves(setup, _curve_problem.physical(setup, y, jnp.ones(())), r)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _linearized(setup, y, r):
-    return curve_of(setup, y, r), jax.jacfwd(lambda y: curve_of(setup, y, r))(y)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -164,6 +160,29 @@ def _covariance(loss, problem, slopes, sigma, standardized, held) -> np.ndarray:
         covariance *= _lost_to_bending(loss, standardized[roots[..., 0] > 0])
     covariance[np.diag_indices(size)] = np.where(held, np.inf, np.diag(covariance))
     return covariance
+
+
+def _expected_chi2(slopes, sigma, used, covariance, held) -> float:
+    """The mean of chi2 over the noise, where what was minimized is weighted otherwise."""
+    design = (slopes / sigma[..., None])[used][:, ~held]
+    information = design.T @ design
+    inner = np.where(np.isfinite(covariance), covariance, 0)[np.ix_(~held, ~held)]
+    return float(used.sum() - 2 * len(information) + np.sum(inner * information))
+
+
+def _pulled(setup, problem, slopes, p, held, at_upper) -> np.ndarray:
+    """Which parameters go along when one goes on beyond its bound, and where: -1, 0 or 1, shape (n,).
+
+    Bounds of lengths and coefficients are only where a search ends; that of shares is physics.
+    """
+    design = np.asarray(problem.root_weights)[..., None] * slopes * np.where(setup.is_share, p, 1.0)
+    design = design.reshape(-1, len(p))
+    pulled = np.zeros(len(p))
+    for place in np.flatnonzero(held & ~setup.is_share):
+        follow = np.linalg.lstsq(design[:, ~held], -design[:, place], rcond=None)[0]
+        follow *= 1 if at_upper[place] else -1
+        pulled[~held] = np.where(np.abs(follow) > _BADLY_KNOWN, np.sign(follow), pulled[~held])
+    return pulled
 
 
 def _lost_to_bending(loss: Loss, standardized: np.ndarray) -> float:
@@ -227,17 +246,17 @@ def _estimate(setup, place, number, covariance, held, widths, likelihood) -> Est
     parameter = setup.free[place]
     error = float(np.sqrt(covariance[place, place]))
     relative = error / p if parameter.is_share and p > 0 else error
-    if held[place] or relative > _BADLY_KNOWN:
+    if likelihood is not None and (held[place] or relative > _BADLY_KNOWN):
         step = min(error, 1.0 if not parameter.is_share else max(p, unit)) / unit
         ends = likelihood.along(place, max(step, 1e-6), widths)
         pairs = [tuple(float(_natural(end * unit, parameter.is_share)) for end in pair) for pair in ends]
         bounds = _natural(np.array([b[place] for b in likelihood.bounds]) * unit, parameter.is_share)
-        both = [_opened(pair, bounds) for pair in pairs]
+        both = [_beyond_search(pair, bounds) for pair in pairs]
     else:
         both = intervals.around(p, error, not parameter.is_share, widths)
     standard_error = error if parameter.is_share else p * error
     closes = math.isfinite(both[-1][1]) and (both[-1][0] > 0 or parameter.is_share)
-    determined = bool(not held[place] and relative < _UNDETERMINED and closes)
+    determined = bool(not held[place] and relative < _derived.UNDETERMINED and closes)
     return Estimate(float(p), float(standard_error), both[0], both[1], parameter.unit, determined)
 
 
@@ -246,55 +265,22 @@ def _natural(y, is_share):
         return np.where(is_share, y, np.exp(np.where(is_share, 0.0, y)))
 
 
-def _opened(pair: tuple[float, ...], bounds: np.ndarray) -> tuple[float, float]:
+def _opened(estimate: Estimate, side: float) -> Estimate:
+    """Intervals that do not end on a side, -1 or 1; as they are for 0."""
+    if side == 0:
+        return estimate
+    both = (estimate.interval_68, estimate.interval_95)
+    inner, outer = ((low, math.inf) if side > 0 else (0.0, high) for low, high in both)
+    return dataclasses.replace(estimate, interval_68=inner, interval_95=outer, determined=False)
+
+
+def _beyond_search(pair: tuple[float, ...], bounds: np.ndarray) -> tuple[float, float]:
     """An interval that ends at a bound of the search does not end: the data do not close it."""
     low, high = map(float, pair)
     return (
         0.0 if low <= bounds[0] * (1 + 1e-9) else low,
         math.inf if high >= bounds[1] * (1 - 1e-9) else high,
     )
-
-
-def _derived(setup: Setup, names: list[str], y, covariance, widths) -> dict[str, Estimate]:
-    """What follows from the parameters of each channel, by linear propagation to its logarithm."""
-    found = {}
-    logarithms, slopes = _derived_logarithms(setup, y)
-    for i, row in enumerate(setup.layout):
-        for name, logarithm in logarithms.items():
-            slope = np.asarray(slopes[name])[i]
-            found[name + _suffix(setup, row, names)] = _propagated(
-                name, float(logarithm[i]), slope, covariance, widths
-            )
-    return found
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _derived_logarithms(setup, y):
-    """By name, the logarithm in each channel (channels,), and its derivatives in `y` (channels, n)."""
-
-    def logarithms(y):
-        p = _curve_problem.physical(setup, y, jnp.ones(()))
-        each = jax.vmap(setup.model.derived)(p[np.array(setup.layout)])
-        return {name: jnp.log(value) for name, value in each.items()}
-
-    return logarithms(y), jax.jacfwd(logarithms)(y)
-
-
-def _propagated(name: str, logarithm: float, slope: np.ndarray, covariance: np.ndarray, widths) -> Estimate:
-    value, unit = math.exp(logarithm), DERIVED_UNITS[name]
-    if not math.isfinite(value):
-        nothing = (math.nan, math.nan)
-        return Estimate(math.nan, math.nan, nothing, nothing, unit, False)
-    matters = slope != 0
-    error = math.sqrt(slope[matters] @ covariance[np.ix_(matters, matters)] @ slope[matters])
-    both = intervals.around(value, error, True, widths)
-    return Estimate(value, value * error, both[0], both[1], unit, error < _UNDETERMINED)
-
-
-def _suffix(setup: Setup, row: tuple[int, ...], names: list[str]) -> str:
-    """What a channel's own parameters have after the model's names."""
-    own = [names[place][len(part.name) :] for place, part in zip(row, setup.model.parameters, strict=True)]
-    return max(own, key=len)
 
 
 def _band(slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:

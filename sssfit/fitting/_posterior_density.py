@@ -17,7 +17,8 @@ from sssfit.fitting import _curve_data, _curve_problem
 from sssfit.fitting._curve_data import CurveData
 from sssfit.fitting._curve_problem import Curves, Loss, Setup
 from sssfit.fitting.measured import Fit
-from sssfit.fitting.profile_models import GaussianSum, Model, Parameter
+from sssfit.fitting.profile_model import Model, Parameter
+from sssfit.fitting.profile_models import GaussianSum
 
 # Walkers begin as far from the optimum as this share of the box at most, however little the data say.
 _WIDEST_START = 0.1
@@ -131,12 +132,6 @@ def curves_of(data: CurveData, fit: Fit, roots: np.ndarray, columns: Sequence[in
     )
 
 
-def fitted_numbers(setup: Setup, values: np.ndarray) -> np.ndarray:
-    """`y` from parameters in their own units, shape (..., n); the logarithm of 0 is -inf."""
-    with np.errstate(divide="ignore"):
-        return np.where(setup.is_share, values, np.log(np.where(setup.is_share, 1.0, values)))
-
-
 @functools.partial(jax.jit, static_argnums=0)
 def log_densities(density: Density, y: Array, curves: Curves, lower: Array, upper: Array) -> Array:
     """`log_density` of many `y`, shape (k, n), at once, shape (k,)."""
@@ -187,8 +182,7 @@ def in_units(part: Part, y: np.ndarray) -> dict[str, np.ndarray]:
     p, derived = natural(setup, y.reshape(-1, y.shape[-1]))
     found = {name: np.asarray(p[:, i]) for i, name in enumerate(part.names)}
     for channel, row in enumerate(setup.layout):
-        pairs = zip(row, setup.model.parameters, strict=True)
-        suffix = max((part.names[place][len(parameter.name) :] for place, parameter in pairs), key=len)
+        suffix = _curve_problem.suffix(setup, row, part.names)
         found |= {name + suffix: np.asarray(values[:, channel]) for name, values in derived.items()}
     return {name: values.reshape(y.shape[:-1]) for name, values in found.items()}
 
@@ -270,7 +264,9 @@ def parts(
         used = np.any(roots[:, list(columns)] > 0, axis=1)
         low, high = boxes(setup, names, prior, _curve_data.span(data.r[used]))
         density = Density(setup, data.sigma is not None or setup.loss != "linear", ascending(setup, shared))
-        optimum = fitted_numbers(setup, np.array([fit.parameters[name].value for name in names]))
+        optimum = _curve_problem.in_logarithms(
+            setup, np.array([fit.parameters[name].value for name in names])
+        )
         take = sorted_places(density, optimum)
         here = np.array([fit.names.index(name) for name in names])[take]
         found.append(
@@ -280,8 +276,8 @@ def parts(
                 density=density,
                 curves=curves_of(data, fit, roots, columns),
                 box={n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)},
-                lower=fitted_numbers(setup, low),
-                upper=fitted_numbers(setup, high),
+                lower=_curve_problem.in_logarithms(setup, low),
+                upper=_curve_problem.in_logarithms(setup, high),
                 optimum=optimum[take],
                 covariance=fit.covariance[np.ix_(here, here)],
             )

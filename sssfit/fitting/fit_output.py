@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from sssfit.files.arrays import csv_bytes
-from sssfit.fitting import profile_models
 from sssfit.fitting._posterior_result import Posterior
 from sssfit.fitting.intervals import Estimate
 from sssfit.fitting.measured import Fit
-from sssfit.fitting.profile_models import Model
+from sssfit.fitting.profile_model import DERIVED_UNITS, Model
 from sssfit.profiles.materials import CHANNELS
 
 
@@ -220,13 +219,13 @@ def constants(fit: Fit, model: Model) -> dict[str, np.ndarray]:
         (K, channels).
 
     Example:
-        >>> from sssfit.fitting import measured
+        >>> from sssfit.fitting import measured, profile_models
         >>> found = measured.fit([1.0, 2.0, 3.0], [0.2, 0.1, 0.02], sigma=0.01)
         >>> list(constants(found, profile_models.Burley()))
         ['albedo', 'd_mm', 'dmfp_mm']
     """
     stems = {parameter.name: parameter.stem for parameter in model.parameters}
-    derived = (name for name in profile_models.DERIVED_UNITS if name not in stems and _has(fit, name))
+    derived = (name for name in DERIVED_UNITS if name not in stems and _has(fit, name))
     rows: dict[str, list[list[float]]] = {}
     for name in (*stems, *derived):
         estimates = [_lookup(fit, name, channel)[0] for channel in fit.channels]

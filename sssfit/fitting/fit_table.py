@@ -1,7 +1,5 @@
 """The fitted profile as a table for engines, with standard errors."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +9,7 @@ from sssfit.files.arrays import csv_bytes
 from sssfit.fitting import _curve_problem, responses
 from sssfit.fitting._curve_problem import Setup
 from sssfit.fitting.measured import Fit
-from sssfit.fitting.profile_models import Model
+from sssfit.fitting.profile_model import Model
 
 # Radii of a table, and the shares of the energy within the first and the last one.
 _RADII = 128
@@ -43,11 +41,11 @@ def table_csv(fit: Fit, model: Model) -> bytes:
     """
     layout, _ = _curve_problem.laid_out(model, fit.channels, _shared(fit, model))
     setup = Setup(model, _tabulated, "linear", layout)
-    y = _solved_for(fit, setup)
+    y = _curve_problem.in_logarithms(setup, np.array([fit.parameters[name].value for name in fit.names]))
     with jax.enable_x64(True):
         r = _radii(setup, y)
         stacked = np.tile(r, len(_COLUMNS))
-        values, slopes = (np.asarray(a) for a in _linearized(setup, y, stacked))
+        values, slopes = (np.asarray(a) for a in _curve_problem.linearized(setup, y, stacked))
     errors = _errors(values, slopes, fit.covariance)
     columns = {"r_mm": r}
     for i, channel in enumerate(fit.channels):
@@ -62,12 +60,6 @@ def _shared(fit: Fit, model: Model) -> tuple[str, ...]:
     if fit.channels == ("",):
         return ()
     return tuple(p.name for p in model.parameters if p.name in fit.names)
-
-
-def _solved_for(fit: Fit, setup: Setup) -> np.ndarray:
-    """The fitted numbers as the covariance has them: logarithms, and shares as they are."""
-    p = np.array([fit.parameters[name].value for name in fit.names])
-    return np.where(setup.is_share, p, np.log(np.where(setup.is_share, 1.0, p)))
 
 
 def _tabulated(model: Model, p: Array, r: Array) -> Array:
@@ -89,14 +81,6 @@ def _radii(setup: Setup, y: np.ndarray) -> np.ndarray:
     first = r[np.argmax(np.any(within > _FIRST, axis=0))]
     last = r[np.argmax(np.all(within > _LAST, axis=0))]
     return np.geomspace(first, last, _RADII)
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _linearized(setup, y, r):
-    def curve(y):
-        return _curve_problem.curves(setup, _curve_problem.physical(setup, y, jnp.ones(())), r)
-
-    return curve(y), jax.jacfwd(curve)(y)
 
 
 def _errors(values: np.ndarray, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:

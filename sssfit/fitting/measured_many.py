@@ -30,6 +30,7 @@ class Many(NamedTuple):
         correlation: of the same, shape (number, n, n).
         chi2: sum of squared residuals over the noise's variance, shape (number,).
         converged: shape (number,).
+        is_share: which parameters are shares, shape (n,).
     """
 
     parameters: np.ndarray
@@ -37,6 +38,7 @@ class Many(NamedTuple):
     correlation: np.ndarray
     chi2: np.ndarray
     converged: np.ndarray
+    is_share: np.ndarray
 
 
 def fit(
@@ -97,89 +99,116 @@ def fit(
     span = _curve_data.span(data.r)
     bounds = _curve_problem.bounds(setup, *span)
     roots = 1 / np.asarray(data.sigma).T
+    batches = -(-len(rows) // _BATCH)
     with jax.enable_x64(True):
-        found = _fit_each(setup, data.r, data.values.T, roots, chosen.candidates(*span), *bounds)
-    return Many(*map(np.asarray, found))
+        given = _in_batches(data.values.T, batches), _in_batches(roots, batches)
+        found = _fit_each(setup, data.r, *given, chosen.candidates(*span), *bounds)
+    found = (np.asarray(each).reshape(-1, *each.shape[2:])[: len(rows)] for each in found)
+    return Many(*found, is_share=setup.is_share)
+
+
+def _in_batches(rows: np.ndarray, batches: int) -> np.ndarray:
+    """Rows in batches of one size, of shape (batches, size, m): the last row again fills the last batch."""
+    size = -(-len(rows) // batches)
+    filled = np.pad(rows, ((0, batches * size - len(rows)), (0, 0)), mode="edge")
+    return filled.reshape(batches, size, -1)
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def _fit_each(setup, r, values, roots, candidates, lower, upper):
-    residuals = _curve_problem.residual_function(setup)
     minimum = _along_the_length if setup.is_share.sum() == 1 == len(setup.is_share) - 1 else _everywhere
 
     def one(given):
         curve, root = given
-        problem = Curves(r, curve[:, None], root[:, None], jnp.ones(()), jnp.ones(()))
-        problem, z, converged = minimum(setup, problem, candidates, lower, upper)
-        slopes, left = jax.jacfwd(residuals)(z, problem), residuals(z, problem)
-        covariance = jnp.linalg.inv(slopes.T @ slopes)
+        p, slopes, left, converged = minimum(setup, r, curve, root, candidates, lower, upper)
+        # Columns of one length, whatever the units, lose the least to rounding.
+        lengths = jnp.linalg.norm(slopes, axis=0)
+        covariance = jnp.linalg.inv((slopes / lengths).T @ (slopes / lengths))
         errors = jnp.sqrt(jnp.diag(covariance))
         correlation = covariance / jnp.outer(errors, errors)
-        errors = jnp.where(setup.is_share, errors * problem.share, errors)
-        p = _curve_problem.physical(setup, z, problem.share)
-        return p, errors, correlation, jnp.sum(jnp.square(left)), converged
+        return p, errors / lengths, correlation, jnp.sum(jnp.square(left)), converged
 
-    return jax.lax.map(one, (values, roots), batch_size=_BATCH)
+    return jax.lax.map(jax.vmap(one), (values, roots))
 
 
-def _everywhere(setup, problem, candidates, lower, upper):
+# Each of the two returns the parameters (n,), the weighted curve's derivatives in their logarithms and in
+# shares (m, n), its weighted differences from the data (m,), and whether the search converged.
+
+
+def _everywhere(setup, r, curve, root, candidates, lower, upper):
     """The minimum over all parameters."""
+    problem = Curves(r, curve[:, None], root[:, None], jnp.ones(()), jnp.ones(()))
     first = _curve_problem.starts(setup, problem, candidates, 1)[0]
     share = jnp.max(jnp.where(setup.is_share, first, 0))
     problem = problem._replace(share=jnp.where(share > 0, share, 1.0))
-    start = jnp.where(setup.is_share, first / problem.share, first)
-    start = jnp.clip(start, jnp.where(setup.is_share, 1e-3, lower + 1e-3), upper - 1e-3)
+    unit = jnp.where(setup.is_share, problem.share, 1.0)
+    start = jnp.clip(first / unit, jnp.where(setup.is_share, 1e-3, lower + 1e-3), upper - 1e-3)
     residuals = _curve_problem.residual_function(setup)
     z, result = solve.levenberg_marquardt(residuals, problem, start, lower, upper)
-    return problem, z, solve.succeeded(result)
+    slopes = jax.jacfwd(residuals)(z, problem) / unit
+    p = _curve_problem.physical(setup, z, problem.share)
+    return p, slopes, residuals(z, problem), solve.succeeded(result)
 
 
-def _along_the_length(setup, problem, candidates, lower, upper):
+def _along_the_length(setup, r, curve, root, candidates, lower, upper):
     """The minimum over the one length, whose share is always the best."""
     place, other = int(np.flatnonzero(~setup.is_share)[0]), int(np.flatnonzero(setup.is_share)[0])
-    roots = problem.root_weights[:, 0]
+    # What does not scatter is the same for all lengths; without it the curve is proportional to the share.
+    unscattered = setup.response(setup.model, jnp.zeros(2).at[place].set(candidates[0, 0]), r)
+    wanted = root * (curve - unscattered)
 
-    def curve(logarithm, share):
-        p = jnp.zeros(2).at[place].set(jnp.exp(logarithm)).at[other].set(share)
-        return roots * setup.response(setup.model, p, problem.r)
+    def of_share_1(logarithm):
+        p = jnp.ones(2).at[place].set(jnp.exp(logarithm))
+        return setup.response(setup.model, p, r) - unscattered
 
-    def best(logarithm):
-        without = curve(logarithm, 0.0)
-        column, left = curve(logarithm, 1.0) - without, roots * problem.values[:, 0] - without
-        share = jnp.maximum(column @ left / (column @ column), 0)
-        return share, jnp.sum(jnp.square(left - share * column)) / 2
+    def fitted(logarithm):
+        """The best share, the weighted curve of share 1, and the derivative of that."""
+        column, change = jax.jvp(lambda x: root * of_share_1(x), (logarithm,), (jnp.ones(()),))
+        return jnp.maximum(column @ wanted / (column @ column), 0), column, change
+
+    def slope_of_cost(logarithm):
+        share, column, change = fitted(logarithm)
+        return share * change @ (share * column - wanted)
 
     grid = jnp.log(candidates[:, 0])
-    costs = jax.vmap(lambda logarithm: best(logarithm)[1])(grid)
-    i = jnp.argmin(costs)
+    # The same curves for all data: their costs are products of matrices.
+    curves = jax.vmap(of_share_1)(grid)
+    explained = jnp.square(jnp.maximum(curves @ (root * wanted), 0)) / (jnp.square(curves) @ jnp.square(root))
+    i = jnp.argmax(jnp.where(jnp.isfinite(explained), explained, -1))
     # The minimum lies between the neighbours of the best candidate, or beyond the ends.
     low = jnp.where(i == 0, lower[place], grid[i - 1])
     high = jnp.where(i == len(grid) - 1, upper[place], grid[jnp.minimum(i + 1, len(grid) - 1)])
-    logarithm, converged = solve.rising_root(jax.grad(lambda x: best(x)[1]), grid[i], low, high)
-    z = jnp.zeros(2).at[place].set(logarithm).at[other].set(best(logarithm)[0])
-    return problem, z, converged
+    logarithm, converged = solve.rising_root(slope_of_cost, grid[i], low, high)
+    share, column, change = fitted(logarithm)
+    p = jnp.zeros(2).at[place].set(jnp.exp(logarithm)).at[other].set(share)
+    slopes = jnp.zeros((len(r), 2)).at[:, place].set(share * change).at[:, other].set(column)
+    return p, slopes, wanted - share * column, converged
 
 
-def interval(found: Many, level: float, model: str = "burley") -> tuple[np.ndarray, np.ndarray]:
+def interval(found: Many, level: float) -> tuple[np.ndarray, np.ndarray]:
     """Central intervals of the fitted parameters: factors of lengths, differences of shares.
 
     Args:
         found: from `fit`.
         level: their chance to hold the truth, in (0, 1).
-        model: that was fitted.
 
     Returns:
         Lower and upper ends, each of shape (number, n), in the parameters' units; shares are cut at 0.
 
+    Raises:
+        ValueError: level is outside its domain.
+
     Example:
-        >>> many = Many(np.ones((1, 2)), np.full((1, 2), 0.1), np.eye(2)[None], np.ones(1), np.ones(1, bool))
+        >>> from sssfit.profiles import burley
+        >>> r = np.geomspace(0.1, 20, 40)
+        >>> many = fit(r, burley.profile(r, 1.0)[None], sigma=1e-3)
         >>> [end.round(3).tolist() for end in interval(many, 0.95)]
-        [[[0.804, 0.822]], [[1.196, 1.217]]]
+        [[[0.98, 0.978]], [[1.02, 1.022]]]
     """
-    width = intervals.half_width(level, math.inf)
-    is_share = np.array([parameter.is_share for parameter in profile_models.named(model).parameters])
+    if not 0 < level < 1:
+        raise ValueError(f"level must be between 0 and 1, got {level}")
+    reach = intervals.half_width(level, math.inf) * found.errors
     with np.errstate(over="ignore"):
-        factor = np.exp(width * found.errors)
-    reach = width * found.errors
-    low = np.where(is_share, np.maximum(found.parameters - reach, 0), found.parameters / factor)
-    return low, np.where(is_share, found.parameters + reach, found.parameters * factor)
+        factor = np.exp(reach)
+    low = np.where(found.is_share, np.maximum(found.parameters - reach, 0), found.parameters / factor)
+    return low, np.where(found.is_share, found.parameters + reach, found.parameters * factor)

@@ -1,5 +1,6 @@
 """Which profile suits a curve: Akaike's criterion, and how well each foretells points it has not seen."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +9,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from sssfit.fitting import _curve_data, measured, profile_models
+from sssfit.fitting._curve_data import CurveData
 from sssfit.fitting.measured import Fit
+from sssfit.fitting.responses import Response
 
 
 @dataclass(frozen=True)
@@ -70,25 +73,53 @@ def compare(
     count = np.asarray(r).size
     if not 2 <= folds <= count:
         raise ValueError(f"folds must be from 2 to the number of points, {count}, got {folds}")
-    fits = [measured.fit(r, values, model=model, sigma=sigma, **options) for model in models]
+    points = same_points(r, values, sigma, models, options.get("response", "radial"))
+    fits = [measured.fit(*points[:2], model=model, sigma=points.sigma, **options) for model in models]
+    fits = [dataclasses.replace(fit, notes=points.notes + fit.notes) for fit in fits]
     least = min((fit.aicc for fit in fits if np.isfinite(fit.aicc)), default=np.nan)
     candidates = [
         Candidate(
             fit,
             float(fit.aicc - least) if np.isfinite(fit.aicc) else np.inf,
-            _foretold(r, values, sigma, folds, model, options),
+            _foretold(points, folds, model, options),
         )
         for fit, model in zip(fits, models, strict=True)
     ]
     return sorted(candidates, key=lambda candidate: (candidate.aicc, candidate.cross_validation))
 
 
-def _foretold(r, values, sigma, folds: int, model: str, options: dict[str, Any]) -> float:
+def same_points(
+    r: ArrayLike, values: ArrayLike, sigma: ArrayLike | None, models: Sequence[str], response: Response
+) -> CurveData:
+    """What all of the models can be fitted to: criteria of different points do not compare.
+
+    Args:
+        r, values, sigma: as `measured.fit`.
+        models: names as `measured.fit` takes them.
+        response: as `measured.fit`.
+
+    Returns:
+        A named tuple of r (m,), values and sigma (m, channels), in float64, and notes: all points, but for
+        one at r = 0 where a model is infinite there.
+
+    Raises:
+        ValueError: as `measured.fit`.
+
+    Example:
+        >>> same_points([0.0, 1.0, 2.0], [3.0, 2.0, 1.0], None, ["dipole", "burley"], "radial").r
+        array([1., 2.])
+    """
+    profiles = [profile_models.named(model) for model in models]
+    data = _curve_data.checked(r, values, sigma, profiles[0], response)
+    return _curve_data.without_singular_point(data, profiles, response)
+
+
+def _foretold(data: CurveData, folds: int, model: str, options: dict[str, Any]) -> float:
     """What the points of each fold miss of the fit to the others."""
     response = options.get("response", "radial")
-    data = _curve_data.checked(r, values, sigma, profile_models.named(model), response)
     # The same weights for all folds: what is left out weighs nothing, and no shape changes.
     roots = _curve_data.root_weights(data, options.get("weights"), response)
+    scale = roots if data.sigma is None else 1 / data.sigma
     square = 0.0
     for fold in range(folds):
         left_out = np.arange(len(data.r)) % folds == fold
@@ -96,6 +127,6 @@ def _foretold(r, values, sigma, folds: int, model: str, options: dict[str, Any])
         found = measured.fit(
             data.r, data.values, model=model, sigma=data.sigma, **{**options, "weights": kept}
         )
-        square += np.sum(np.square(roots * (data.values - found.fitted))[left_out])
-    whole = roots.size if sigma is not None else np.sum(np.square(roots * data.values))
+        square += np.sum(np.square(scale * (data.values - found.fitted))[left_out])
+    whole = np.sum(np.square(roots * data.values)) if data.sigma is None else roots.size
     return float(np.sqrt(square / whole))

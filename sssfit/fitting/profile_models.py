@@ -7,111 +7,16 @@ shows of it (`responses`), fits and posteriors are built on these three.
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
 
 from sssfit.fitting.gaussian_sum import LARGEST_COUNT
+from sssfit.fitting.profile_model import Model, Parameter
 from sssfit.profiles import burley, dipole, gaussian_sum
 
 #: What `named` takes; K is how many Gaussians, 1 to 8.
 MODELS = ("burley", "gaussians:K", "dipole", "jimenez")
-
-Kind = Literal["length", "area", "coefficient", "share"]
-_UNITS: dict[Kind, str] = {"length": "mm", "area": "mm^2", "coefficient": "1/mm", "share": "1"}
-# In powers of a length, for bounds.
-_POWERS: dict[Kind, int] = {"length": 1, "area": 2, "coefficient": -1}
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter's name and what it is.
-
-    Attributes:
-        name: as it is reported.
-        kind: "length", "area" or "coefficient", which are positive and fitted by their logarithms, or
-            "share" (of energy, >= 0), in which a profile is linear and which is fitted as it is.
-
-    Example:
-        >>> Parameter("d", "length").unit
-        'mm'
-    """
-
-    name: str
-    kind: Kind
-
-    @property
-    def unit(self) -> str:
-        """Its unit."""
-        return _UNITS[self.kind]
-
-    @property
-    def stem(self) -> str:
-        """Its name without a number at its end."""
-        stem, _, number = self.name.rpartition("_")
-        return stem if number.isdecimal() else self.name
-
-    @property
-    def is_share(self) -> bool:
-        """Whether the profile is linear in it."""
-        return self.kind == "share"
-
-    def bounds(self, shortest: float, longest: float) -> tuple[float, float]:
-        """Where it is looked for in data between two distances in mm: far beyond what they can tell."""
-        if self.is_share:
-            return 0.0, math.inf
-        power = _POWERS[self.kind]
-        ends = (1e-3 * shortest) ** power, (1e3 * longest) ** power
-        return min(ends), max(ends)
-
-
-class Model(Protocol):
-    """A radial profile with free parameters. `p` are their values, shape (n,), and r is in mm."""
-
-    @property
-    def name(self) -> str:
-        """As `named` takes it."""
-        ...
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """In the order of the vector."""
-        ...
-
-    def profile(self, p: Array, r: ArrayLike) -> Array:
-        """Areal density R(r), 1/mm^2, of r's shape."""
-        ...
-
-    def within(self, p: Array, r: ArrayLike) -> Array:
-        """Energy that leaves at distances of at most r: the integral of 2 pi r R."""
-        ...
-
-    def beyond(self, p: Array, r: ArrayLike) -> Array:
-        """Energy that leaves at distances above r."""
-        ...
-
-    def energy(self, p: Array) -> Array:
-        """All energy that leaves, shape ()."""
-        ...
-
-    def reach(self, p: Array) -> Array:
-        """A distance in mm beyond which nothing that counts is left, shape ()."""
-        ...
-
-    def derived(self, p: Array) -> dict[str, Array]:
-        """Other quantities that follow from the parameters, each of shape ()."""
-        ...
-
-    def candidates(self, shortest: float, longest: float) -> np.ndarray:
-        """Where to begin: values of all that are no shares, in their order, shape (many, n - shares)."""
-        ...
-
-
-#: The units of what models derive.
-DERIVED_UNITS = {"dmfp": "mm", "mfp": "mm", "albedo": "1", "mean_distance": "mm"}
 
 
 @dataclass(frozen=True)
@@ -130,6 +35,11 @@ class Burley:
     cutoff: float = math.inf
     name = "burley"
     parameters = (Parameter("albedo", "share"), Parameter("d", "length"))
+
+    @property
+    def is_cut_off(self) -> bool:
+        """See `Model`."""
+        return math.isfinite(self.cutoff)
 
     def profile(self, p, r):
         """See `Model`."""
@@ -182,6 +92,8 @@ class GaussianSum:
     """
 
     number: int
+
+    is_cut_off = False
 
     @property
     def name(self):
@@ -247,6 +159,7 @@ class Jimenez:
     """
 
     name = "jimenez"
+    is_cut_off = False
     parameters = (Parameter("falloff", "length"), Parameter("strength", "share"))
 
     def profile(self, p, r):
@@ -299,6 +212,7 @@ class Dipole:
 
     eta: float = 1.3
     name = "dipole"
+    is_cut_off = False
     parameters = (Parameter("sigma_s_reduced", "coefficient"), Parameter("sigma_a", "coefficient"))
 
     def profile(self, p, r):
@@ -355,7 +269,7 @@ def named(name: str, *, eta: float = 1.3, cutoff: float = math.inf) -> Model:
     if not cutoff > 0:
         raise ValueError(f"cutoff must be above 0, got {cutoff}")
     kind, _, number = name.partition(":")
-    if kind == "gaussians" and number.isdecimal() and 1 <= int(number) <= LARGEST_COUNT:
+    if kind == "gaussians" and number in map(str, range(1, LARGEST_COUNT + 1)):
         return GaussianSum(int(number))
     models: dict[str, Model] = {"burley": Burley(cutoff), "dipole": Dipole(eta), "jimenez": Jimenez()}
     if name not in models:

@@ -6,14 +6,16 @@ line with fixed nodes, so that any profile can be fitted to a photograph of any 
 
 import functools
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Literal, get_args
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from sssfit.fitting.profile_models import Model
+from sssfit.fitting.profile_model import Model
 
 Response = Literal["radial", "line", "edge", "beam"]
 RESPONSES: tuple[Response, ...] = get_args(Response)
@@ -125,10 +127,14 @@ def beam(model: Model, p: Array, r: ArrayLike, radius: ArrayLike) -> Array:
     larger = jnp.maximum(r, radius)
     # The angle from the nearest point of the rim, stretched where the rim passes close by.
     near = jnp.abs(r - radius) / larger + 1e-7
-    end = jnp.arcsinh(jnp.pi / near)
-    u = end * (nodes + 1) / 2
+    ends = [jnp.zeros_like(near), jnp.arcsinh(jnp.pi / near)]
+    if model.is_cut_off:
+        # Gauss' rule needs smooth parts: the angle is split where the rim is as far as the profile reaches.
+        ends.insert(1, jnp.arcsinh(_angle_at(model.reach(p), r, radius) / near))
+    u = jnp.concatenate([low + (high - low) * (nodes + 1) / 2 for low, high in pairwise(ends)], axis=-1)
+    steps = [node_weights * (high - low) / 2 for low, high in pairwise(ends)]
     angle = near * jnp.sinh(u)
-    weights = node_weights * end / 2 * near * jnp.cosh(u)
+    weights = jnp.concatenate(steps, axis=-1) * near * jnp.cosh(u)
     versine = 2 * jnp.square(jnp.sin(angle / 2))
     square = jnp.square(r - radius) + 2 * r * radius * versine
     towards = radius * (radius - r + r * versine) / square
@@ -137,6 +143,16 @@ def beam(model: Model, p: Array, r: ArrayLike, radius: ArrayLike) -> Array:
     inside = jnp.sum(weights * towards * model.within(p, distance), axis=-1)
     outside = -jnp.sum(weights * towards * model.beyond(p, distance), axis=-1)
     return jnp.where(r[..., 0] <= radius, inside, outside) / jnp.pi
+
+
+def _angle_at(distance: Array, r: Array, radius: ArrayLike) -> Array:
+    """The angle of the rim's point at a distance; 0 if all are beyond it, pi if none is.
+
+    No derivative goes through it: what is integrated is the same on both sides.
+    """
+    nearest = jnp.square(r - radius)
+    between = (jnp.square(distance) - nearest) / jnp.maximum(4 * r * radius, jnp.finfo(nearest.dtype).tiny)
+    return jax.lax.stop_gradient(2 * jnp.arcsin(jnp.sqrt(jnp.clip(between, 0, 1))))
 
 
 def function(response: Response, radius: float | None = None) -> Callable[[Model, Array, Array], Array]:

@@ -245,6 +245,35 @@ def test_what_the_near_field_does_not_tell():
     assert value(found, "albedo") / value(found, "d") == pytest.approx(ALBEDO / D, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_follows_from_undetermined_parameters_is_not_determined(seed):
+    r = np.geomspace(1e-3, 1e-2, 30)
+    clean = burley(r, 0.7, 1.0)
+    values = clean * (1 + 0.05 * np.random.default_rng(seed).normal(size=30))
+    found = measured.fit(r, values, sigma=0.05 * clean).parameters
+    assert not any(found[name].determined for name in ("albedo", "d", "dmfp"))
+    # True is 5.374 mm, far from the best guess for two of the seeds.
+    assert found["dmfp"].interval_95 == (0, np.inf)
+
+
+def test_what_goes_along_with_a_length_on_its_bound_is_not_determined():
+    found = measured.fit(np.arange(1.0, 5), np.arange(4.0, 0, -1))
+    assert value(found, "d") == pytest.approx(4000) and "d lies on its bound, 4000" in found.notes
+    albedo = found.parameters["albedo"]
+    assert not albedo.determined and albedo.interval_68[1] == albedo.interval_95[1] == np.inf
+
+
+def test_weights_that_are_not_the_noises_have_intervals_of_their_own_estimate():
+    clean = burley(R, 0.7, 1.0)
+    values = clean * (1 + 0.3 * np.random.default_rng(0).normal(size=POINTS))
+    found = measured.fit(R, values, sigma=0.3 * clean, weights="area")
+    d = found.parameters["d"]
+    # The root mean square of the noise in the likelihood's optimum is smaller than in this one.
+    assert found.notes == ()
+    low, high = np.log(np.array(d.interval_95) / d.value)
+    assert low == pytest.approx(-high) and high == pytest.approx(1.959964 * d.standard_error / d.value)
+
+
 def test_intervals_of_the_likelihood_end_where_it_has_fallen():
     near = np.geomspace(0.1, 1.2, POINTS)
     values, sigma = noisy(r=near)

@@ -56,6 +56,21 @@ def test_rows_are_single_fits(model, response, x64):
         assert many.chi2[row] == pytest.approx(single.chi2, rel=1e-8)
 
 
+@pytest.mark.parametrize("response, beam_radius", [("edge", None), ("beam", 2.0)])
+def test_light_that_does_not_scatter(response, beam_radius, x64):
+    # What Jimenez' strength leaves unscattered is no part of what grows with it.
+    model, seen = profile_models.named("jimenez"), responses.function(response, beam_radius)
+    x = np.linspace(-4.0 if response == "edge" else 0.1, 4.0, POINTS)
+    planted = np.array([[0.6, 0.5], [1.1, 0.9], [0.3, 0.2], [0.8, 0.7]])
+    curves = np.stack([np.asarray(seen(model, jnp.asarray(p), jnp.asarray(x))) for p in planted])
+    given = {"sigma": 1e-3, "model": "jimenez", "response": response, "beam_radius": beam_radius}
+    many = measured_many.fit(x, curves, **given)
+    assert many.converged.all()
+    np.testing.assert_allclose(many.parameters, planted, rtol=1e-7)
+    single = measured.fit(x, curves[0], **given)
+    np.testing.assert_allclose(many.errors[0], np.sqrt(np.diag(single.covariance)), rtol=1e-5)
+
+
 def test_rows_are_scipys():
     values, sigma = noisy(4, 5, [0.01, 0.03, 0.1, 0.1], [0.2, 0.5, 0.9, 0.4], SHAPES)
     many = measured_many.fit(R, values, sigma=sigma)
@@ -160,11 +175,19 @@ def test_intervals_are_those_of_single_fits():
 
 def test_shares_end_at_0_and_lengths_at_infinity():
     many = measured_many.Many(
-        np.full((1, 2), 0.5), np.array([[0.5, 1e4]]), np.eye(2)[None], np.ones(1), np.ones(1, bool)
-    )
+        np.full((1, 2), 0.5), np.array([[0.5, 1e4]]), np.eye(2)[None], np.ones(1), np.ones(1, bool),
+        np.array([True, False]),
+    )  # fmt: skip
     low, high = measured_many.interval(many, 0.95)
     np.testing.assert_allclose(low, [[0.0, 0.0]])
     np.testing.assert_allclose(high, [[0.5 + 0.5 * 1.959963984540054, np.inf]])
+
+
+@pytest.mark.parametrize("level", [0, 1, 1.5, np.nan])
+def test_levels_that_are_no_chances(level):
+    many = measured_many.Many(*[np.ones((1, 2))] * 6)
+    with pytest.raises(ValueError, match=f"level must be between 0 and 1, got {level}"):
+        measured_many.interval(many, level)
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,21 @@ def test_any_number_of_folds_without_sigma(folds):
     assert found.aicc == 0
 
 
+def test_misses_are_in_units_of_the_noise_whatever_the_weights():
+    values, sigma = noisy()
+    (found,) = model_choice.compare(R, values, ["burley"], folds=4, sigma=sigma, weights="relative")
+    # Relative weights are nearly those of this noise.
+    assert found.cross_validation == pytest.approx(1, abs=4 / np.sqrt(2 * POINTS))
+
+
+def test_models_are_compared_on_the_same_points():
+    values, sigma = noisy()
+    r, values, sigma = np.append(0, R), np.append(9.0, values), np.append(1.0, sigma)
+    found = model_choice.compare(r, values, ["dipole", "burley"], folds=2, sigma=sigma)
+    assert {len(candidate.fit.r) for candidate in found} == {POINTS}
+    assert {candidate.fit.notes[0][:18] for candidate in found} == {"the point at r = 0"}
+
+
 def test_a_point_at_0_is_in_no_fold():
     values, sigma = noisy()
     r, values, sigma = np.append(0, R), np.append(9.0, values), np.append(1.0, sigma)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from sssfit.fitting import profile_models
-from sssfit.fitting.profile_models import Burley, Dipole, GaussianSum, Jimenez, Parameter, named
+from sssfit.fitting.profile_model import DERIVED_UNITS, Parameter
+from sssfit.fitting.profile_models import Burley, Dipole, GaussianSum, Jimenez, named
 from sssfit.profiles import dipole
 
 CASES = {
@@ -161,7 +161,7 @@ def test_derived(x64):
     assert float(found["dmfp"]) == pytest.approx(1 / math.sqrt(3 * 0.02 * 1.02), rel=1e-14)
     assert float(found["albedo"]) == pytest.approx(float(dipole.diffuse_reflectance(1.0, 0.02, 1.3)))
     for model in (Burley(), GaussianSum(2), Dipole()):
-        assert set(model.derived(jnp.ones(len(model.parameters)))) <= set(profile_models.DERIVED_UNITS)
+        assert set(model.derived(jnp.ones(len(model.parameters)))) <= set(DERIVED_UNITS)
 
 
 def test_names():

@@ -1,5 +1,7 @@
 """Beams, edges and lines of light against arcs integrated by SciPy, closed forms and their limits."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -108,6 +110,29 @@ def test_beam_is_the_sum_of_arcs(case):
             for a in away
         ]
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * energy(case))
+
+
+@pytest.mark.parametrize("cutoff, d", [(16.0, 0.05), (16.0, 1.0), (3.0, 0.05), (3.0, 1.0)])
+@pytest.mark.usefixtures("x64")
+def test_beam_of_a_profile_that_is_cut_off(cutoff, d):
+    radius, share = 2.0, 1 - (np.exp(-cutoff) + 3 * np.exp(-cutoff / 3)) / 4
+    away = np.array([0.0, 0.5, 1.9, 1.99999, 2.00001, 2.05, 2.0 + 0.99 * cutoff * d])
+
+    def ring(r):
+        return (np.exp(-r / d) + np.exp(-r / (3 * d))) / (4 * d) / share
+
+    def expected(a):
+        ends = {0.0, cutoff * d, *(e for e in (abs(a - radius), a + radius, d / 9, d) if e < cutoff * d)}
+        parts = [
+            quad(
+                lambda r: ring(r) * share_in_disc(r, a, radius), *ends, epsabs=1e-14, epsrel=1e-12, limit=400
+            )[0]
+            for ends in pairwise(sorted(ends))
+        ]
+        return sum(parts)
+
+    found = beam(Burley(cutoff), jnp.array([1.0, d]), away, radius)
+    np.testing.assert_allclose(found, [expected(a) for a in away], rtol=0, atol=1e-9)
 
 
 @ALL
