@@ -95,7 +95,14 @@ def found(
     estimates = {
         name: _opened(
             _estimate(
-                setup, i, (y[i], p[i], unit[i]), covariance, held, widths, likelihood if is_weighed else None
+                setup,
+                i,
+                (y[i], p[i], unit[i]),
+                covariance,
+                held,
+                widths,
+                likelihood if is_weighed else None,
+                bool(pulled[i]),
             ),
             pulled[i],
         )
@@ -240,13 +247,13 @@ def _cost_with(setup, place, problem, value, start, lower, upper):
     return jnp.sum(jnp.square(residuals(others, problem))) / 2
 
 
-def _estimate(setup, place, number, covariance, held, widths, likelihood) -> Estimate:
+def _estimate(setup, place, number, covariance, held, widths, likelihood, is_pulled) -> Estimate:
     """One fitted parameter."""
     y, p, unit = number
     parameter = setup.free[place]
     error = float(np.sqrt(covariance[place, place]))
     relative = error / p if parameter.is_share and p > 0 else error
-    if likelihood is not None and (held[place] or relative > _BADLY_KNOWN):
+    if likelihood is not None and (held[place] or is_pulled or relative > _BADLY_KNOWN):
         step = min(error, 1.0 if not parameter.is_share else max(p, unit)) / unit
         ends = likelihood.along(place, max(step, 1e-6), widths)
         pairs = [tuple(float(_natural(end * unit, parameter.is_share)) for end in pair) for pair in ends]

@@ -17,7 +17,7 @@ LEVELS = (0.68, 0.95)
 _MISFIT_CHANCE = 1e-3
 # A direction in which a factor of e costs less than this many standard deviations is not determined.
 _DETERMINED_ABOVE = 2.0
-# What a likelihood is searched to: a factor, or a change of a share in units of the largest.
+# What a likelihood is searched to: a factor, or a change of a share in its unit; more for large ones.
 _FARTHEST = 12.0
 _STEPS = 60
 # Singular values below this share of the largest are rounding.
@@ -247,7 +247,7 @@ def along_likelihood(
             outer = min(outer, bound) if sign > 0 else max(outer, bound)
             if cost(outer) > target:
                 break
-            if outer == bound or abs(outer - best) > _FARTHEST:
+            if outer == bound or abs(outer - best) > _FARTHEST * max(1.0, abs(best)):
                 return bound
             inner, outer = outer, best + 2 * (outer - best)
         for _ in range(_STEPS):

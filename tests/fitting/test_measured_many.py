@@ -56,7 +56,9 @@ def test_rows_are_single_fits(model, response, x64):
         assert many.chi2[row] == pytest.approx(single.chi2, rel=1e-8)
 
 
-@pytest.mark.parametrize("response, beam_radius", [("edge", None), ("beam", 2.0)])
+@pytest.mark.parametrize(
+    "response, beam_radius", [("edge", None), pytest.param("beam", 2.0, marks=pytest.mark.slow)]
+)
 def test_light_that_does_not_scatter(response, beam_radius, x64):
     # What Jimenez' strength leaves unscattered is no part of what grows with it.
     model, seen = profile_models.named("jimenez"), responses.function(response, beam_radius)

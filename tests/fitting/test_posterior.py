@@ -272,7 +272,10 @@ def log_densities(values, sigma, y, **options):
     return np.asarray(compiled), np.array(eager)
 
 
-@pytest.mark.parametrize("loss, known", [("linear", True), ("linear", False), ("cauchy", True)])
+@pytest.mark.parametrize(
+    "loss, known",
+    [("linear", True), ("linear", False), pytest.param("cauchy", True, marks=pytest.mark.slow)],
+)
 def test_compiled_densities_are_the_eager_ones(loss, known):
     values, sigma = measured_curve(0.1)
     y = np.array([[0.7, 0.4], [0.5, -0.5], [0.0, 3.0], [1.0, -9.0], [1.1, 0.4], [-0.1, 0.4], [0.5, 99.0]])

@@ -29,7 +29,10 @@ ROUNDED = {
 }
 
 
-@pytest.mark.parametrize("case", CONSTANTS, ids=lambda case: "-".join(map(str, case[:2])))
+CASES = [pytest.param(case, marks=pytest.mark.slow) if "derivative" in case else case for case in CONSTANTS]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case[:2])))
 def test_reference_constants_by_every_solver(case):
     reading, objective, domain = case
     result = fit(UNIT, objective, reading=reading, domain=domain, albedo_bounds=FREE, solver="all")
