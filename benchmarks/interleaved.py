@@ -1,17 +1,11 @@
-"""Timing of rival programs so that a busy machine slows all of them alike.
-
-Run one after the other, two programs meet different loads. Here they take turns, in an order shuffled anew
-each round, and medians and quartiles over the rounds are compared.
-"""
+"""Figures of programs that are timed in turns, and the conditions under which they ran."""
 
 import os
 import platform
-import random
 import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -19,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Seconds before each timed run, in which the threads of the program before it stop waiting for more.
-PAUSE = 0.05
+from sssfit.trade.machine import processor
+from sssfit.trade.timing import PAUSE as PAUSE
+from sssfit.trade.timing import measure as measure
+
 PACKAGES = ("sssfit", "jax", "numpy", "scipy", "numba")
 
 
@@ -34,30 +30,6 @@ class Timing(NamedTuple):
     @property
     def spread(self) -> float:
         return self.upper - self.lower
-
-
-def measure(
-    programs: Mapping[str, Callable[[], object]], repeats: int, seed: int = 0, pause: float = PAUSE
-) -> dict[str, np.ndarray]:
-    """Wall times in seconds of each program, shape (repeats,), after one untimed run of each.
-
-    Each run comes after a pause in seconds. A program returns when its result is complete: one that runs
-    asynchronously waits for it itself. Times at the same index come from the same round, so their ratio is
-    free of slow changes of the load.
-    """
-    for program in programs.values():
-        program()
-    order = list(programs)
-    shuffle = random.Random(seed).shuffle
-    times = {name: np.empty(repeats) for name in order}
-    for round_ in range(repeats):
-        shuffle(order)
-        for name in order:
-            time.sleep(pause)
-            start = time.perf_counter()
-            programs[name]()
-            times[name][round_] = time.perf_counter() - start
-    return times
 
 
 def quartiles(times: np.ndarray) -> Timing:
@@ -107,7 +79,7 @@ def machine() -> str:
     """One line: processor, cores, versions, date and commit."""
     versions = ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
     return (
-        f"{_processor()}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}; "
+        f"{processor()}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}; "
         f"{date.today()}, commit {_commit()}"
     )
 
@@ -117,20 +89,6 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "absent"
-
-
-def _processor() -> str:
-    """What Linux calls the first processor; elsewhere what the platform module knows."""
-    try:
-        text = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        text = ""
-    facts: dict[str, str] = {}
-    for line in text.splitlines():
-        key, _, value = line.partition(":")
-        facts.setdefault(key.strip(), value.strip())
-    name = facts.get("model name") or platform.processor() or platform.machine()
-    return name + (" with AVX-512" if "avx512f" in facts.get("flags", "").split() else "")
 
 
 def _commit() -> str:

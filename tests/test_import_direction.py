@@ -18,7 +18,18 @@ ALLOWED = {
     "frames": {"files", "profiles", "sampling", "estimators"},
     "scenarios": {"files", "profiles", "sampling", "estimators"},
     "tables": {"files", "profiles", "sampling", "fitting"},
-    "cli": {"files", "profiles", "sampling", "estimators", "fitting", "frames", "scenarios", "tables"},
+    "trade": {"files", "profiles", "sampling", "estimators", "fitting", "frames", "scenarios", "tables"},
+    "cli": {
+        "files",
+        "profiles",
+        "sampling",
+        "estimators",
+        "fitting",
+        "frames",
+        "scenarios",
+        "tables",
+        "trade",
+    },
 }
 SOLVERS = ("optimistix", "jaxopt", "scipy.optimize")
 # The one file that may import solvers.

@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "sssfit"
 # The command line's interface is its --help, which its own tests read.
 LIBRARY = (
-    *("files", "profiles", "sampling", "estimators", "fitting", "frames", "scenarios", "tables"),
+    *("files", "profiles", "sampling", "estimators", "fitting", "frames", "scenarios", "tables", "trade"),
     "reproduction.py",
 )
 # Modules whose functions compute published or derived formulas.

@@ -1,6 +1,6 @@
 """Measure what samples read through texture caches: fixed and adaptive counts, MIP levels, an FFT's order.
 
-Run from the repository root, in about two minutes on two cores; it prints tables in Markdown:
+Run from the repository root, in about two minutes on two cores; near and far are written into docs/trade.md:
 
     python docs/scripts/cache.py [near] [far] [setups]
 
@@ -14,7 +14,8 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from frames_data import FOLDER, table
+import page
+from frames_data import DOCS, FOLDER, table
 
 from sssfit.frames import adaptive, gbuffer, procedural, render, scatter, scene_profiles
 from sssfit.frames.gbuffer import Frame
@@ -157,13 +158,15 @@ def rows(name: str, found: list[tuple[Counts, ...]], over: float = 1.0) -> list[
     return lines
 
 
-def study(of: View) -> None:
+def study(of: View, place: str) -> None:
     lines = []
     for level in LEVELS:
         lines += rows(f"MIP {level}", both(of, level=level))
     lines += rows("prefilter's levels", both(of, settings=Settings(prefilter=PREFILTER)))
     lines += transforms(of)
-    print("\n" + table(lines, 2), flush=True)
+    text = table(lines, 2)
+    print("\n" + text, flush=True)
+    page.replace(DOCS / "trade.md", place, text)
 
 
 def transforms(of: View) -> list[dict[str, str]]:
@@ -228,9 +231,11 @@ def main() -> None:
     for name in chosen:
         start = time.perf_counter()
         if name == "far":
-            study(far())
+            study(far(), "cache far")
+        elif of is not None and name == "near":
+            study(of, "cache near")
         elif of is not None:
-            (study if name == "near" else study_setups)(of)
+            study_setups(of)
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
 
 

@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
 
     # Ctrl-C inside the imports of compiled code crashes or is lost.
     with interrupt_deferred():
-        from sssfit.cli import fit, procedural_frame, render, reproduce, simulate, tables
+        from sssfit.cli import fit, procedural_frame, render, reproduce, simulate, tables, trade
 
     top = argparse.ArgumentParser(
         prog="sssfit",
@@ -55,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
         simulate.add_command(commands)
         procedural_frame.add_command(commands)
         render.add_command(commands)
+        trade.add_command(commands)
         reproduce.add_command(commands)
     return top
 

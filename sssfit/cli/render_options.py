@@ -256,6 +256,6 @@ def asked(options: argparse.Namespace) -> dict[str, Any]:
     from sssfit.files.reading import read_bytes
 
     every = {name: value for name, value in vars(options).items() if name not in ("run", "out", "quiet")}
-    files = {n: Path(every[n]) for n in ("frame", "camera", "reference") if every[n] is not None}
+    files = {n: Path(every[n]) for n in ("frame", "camera", "reference") if every.get(n) is not None}
     inputs = {name: sha256_bytes(read_bytes(path)) for name, path in files.items()}
     return every | {name: path.name for name, path in files.items()} | {"inputs_sha256": inputs}

@@ -1,0 +1,120 @@
+"""Choices measured side by side: errors once, times in turns, so that a busy machine slows all alike."""
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sssfit.trade import memory, timing
+from sssfit.trade.choice import Choice, Error, Group, Task
+from sssfit.trade.setting import Setting
+
+#: Called with a sentence on what is being done, before it is done.
+Tell = Callable[[str], None]
+# Of the difference of two medians that a machine shows for the same program, whatever the rounds say.
+_LEAST_NOISE = 0.02
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was measured of one choice.
+
+    Attributes:
+        group, choice: names.
+        knobs: what was set.
+        is_default: what the package does where nothing is said.
+        error: in the group's unit.
+        error_noise: standard error of that.
+        nanoseconds: median time of a unit of work.
+        time_noise: half the width of a 95 % interval of that, as a share of it.
+        samples: drawn for a unit of work.
+        bytes_moved: read and written at least for a unit of work.
+        peak_bytes: memory that a run takes beyond what was there, or NaN where the system does not tell.
+        compile_seconds: of the first run more than of a later one.
+    """
+
+    group: str
+    choice: str
+    knobs: dict[str, Any]
+    is_default: bool
+    error: float
+    error_noise: float
+    nanoseconds: float
+    time_noise: float
+    samples: float
+    bytes_moved: float
+    peak_bytes: float
+    compile_seconds: float
+
+
+def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: None) -> tuple[str, list[Row]]:
+    """Measure all choices of a group.
+
+    Args:
+        of: the group.
+        setting: on what.
+        rounds: in which each choice runs once, >= 3.
+        tell: is told what is done.
+
+    Returns:
+        The task's note, and a row for each choice, in their order.
+
+    Raises:
+        CannotMeasure: the setting lacks what the group needs.
+        ValueError: too few rounds.
+
+    Example:
+        >>> from sssfit.trade import setting
+        >>> from sssfit.trade.choice import Choice, Error, Group, Task
+        >>> one = Choice("sum", {}, run=lambda: sum(range(1000)), error=lambda: Error(0.0))
+        >>> sums = Group("sums", "", "number", "", "", lambda setting: Task(1000, (one,)))
+        >>> group(sums, setting.procedural_setting(True), rounds=3)[1][0].error
+        0.0
+    """
+    if rounds < 3:
+        raise ValueError(f"rounds must be at least 3, got {rounds}")
+    tell(f"{of.name}: preparing")
+    task = of.prepare(setting)
+    firsts, peaks, errors = [], [], []
+    for choice in task.choices:
+        tell(f"{of.name}: {choice.name}, its error")
+        first, peak, error = _once(choice)
+        firsts.append(first)
+        peaks.append(peak)
+        errors.append(error)
+    tell(f"{of.name}: times, {rounds} rounds")
+    times = timing.measure({choice.name: choice.run for choice in task.choices}, rounds)
+    return task.note, [
+        _row(of, task, choice, times[choice.name], first, peak, error)
+        for choice, first, peak, error in zip(task.choices, firsts, peaks, errors, strict=True)
+    ]
+
+
+def _once(choice: Choice) -> tuple[float, float, Error]:
+    """Seconds of the first run, memory of the second, and the error."""
+    gc.collect()
+    begun = time.perf_counter()
+    choice.run()
+    first = time.perf_counter() - begun
+    return first, memory.peak_of(choice.run), choice.error()
+
+
+def _row(of: Group, task: Task, choice: Choice, times: np.ndarray, first: float, peak: float, error: Error):
+    low, median, high = timing.median_and_interval(times)
+    return Row(
+        group=of.name,
+        choice=choice.name,
+        knobs=dict(choice.knobs),
+        is_default=choice.is_default,
+        error=float(error.value),
+        error_noise=float(error.noise),
+        nanoseconds=1e9 * median / task.units,
+        time_noise=max((high - low) / (2 * median), _LEAST_NOISE),
+        samples=choice.samples,
+        bytes_moved=choice.bytes_moved,
+        peak_bytes=peak,
+        compile_seconds=max(first - median, 0.0),
+    )

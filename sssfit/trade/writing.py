@@ -1,0 +1,131 @@
+"""What `sssfit trade` writes: each group's measurements as they come, and the report at the end."""
+
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from sssfit.files import atomic
+from sssfit.files.errors import FileError
+from sssfit.files.json_text import json_text, read_json
+from sssfit.files.output import output_directory, versions
+from sssfit.trade import machine, measure, picture, report
+from sssfit.trade.choice import CannotMeasure, Group
+from sssfit.trade.measure import Row, Tell
+from sssfit.trade.report import Measured
+from sssfit.trade.setting import Setting
+
+_FOLDER = "measured"
+
+
+def conditions(setting: Setting, rounds: int) -> dict[str, Any]:
+    """On what, with what and how thoroughly is measured: measurements under other conditions do not mix.
+
+    Args:
+        setting: see `Setting`.
+        rounds: of the times.
+
+    Example:
+        >>> from sssfit.trade.setting import procedural_setting
+        >>> conditions(procedural_setting(True), 5)["rounds"]
+        5
+    """
+    device = jax.devices()[0]
+    return {
+        "processor": machine.processor(),
+        "cores": os.cpu_count(),
+        "device": f"{device.platform} {device.device_kind}",
+        "versions": versions(("jaxlib",)),
+        "quick": setting.is_quick,
+        "rounds": rounds,
+        **setting.describe(),
+    }
+
+
+class Ledger:
+    """The groups that are measured, each in a file of its own once it is complete.
+
+    Attributes:
+        conditions: under which.
+    """
+
+    def __init__(self, out: Path, conditions: dict[str, Any], resume: bool):
+        """Keep groups in `out`/measured; what is there is used if `resume`, else removed one by one.
+
+        Raises:
+            FileError: with `resume`, something there was measured under other conditions.
+        """
+        self.conditions = conditions
+        self._folder, self._resume = out / _FOLDER, resume
+        atomic.make_directory(self._folder)
+
+    def measured(self, group: Group, setting: Setting, rounds: int, tell: Tell) -> Measured:
+        """A group, from its file or measured now and kept.
+
+        Raises:
+            FileError: the file cannot be read or written, or is of other conditions.
+        """
+        path = self._folder / f"{group.name}.json"
+        if self._resume and path.exists():
+            return self._read(path, group)
+        try:
+            note, made = measure.group(group, setting, rounds, tell)
+            found = Measured(group, tuple(made), note=note)
+        except CannotMeasure as reason:
+            found = Measured(group, (), str(reason))
+        rows = [report.known(row) for row in found.rows]
+        text = json_text(
+            {"conditions": self.conditions, "skipped": found.skipped, "note": found.note, "rows": rows}
+        )
+        atomic.write_bytes(path, text.encode())
+        return found
+
+    def _read(self, path: Path, group: Group) -> Measured:
+        content = read_json(path)
+        if content.get("conditions") != self.conditions:
+            problem, remedy = (
+                "was measured under other conditions",
+                "use another --out, or leave --resume out",
+            )
+            raise FileError(path, "", problem, remedy)
+        return Measured(
+            group, tuple(Row(**_numbers(row)) for row in content["rows"]), content["skipped"], content["note"]
+        )
+
+
+def _numbers(row: dict[str, Any]) -> dict[str, Any]:
+    """A row as it was: what the machine does not tell is NaN."""
+    return {name: math.nan if value is None else value for name, value in row.items()}
+
+
+def write(out: str, found: Sequence[Measured], conditions: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Write the report of a run into a directory, all of it or nothing.
+
+    Args:
+        out: the directory.
+        found: its groups.
+        conditions: as `conditions` gives them.
+        asked: the options, for the manifest.
+
+    Raises:
+        FileError: the directory has a fault.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write(folder, [], {}, {})
+        ...     sorted(path.name for path in Path(folder).iterdir())
+        ['manifest.json', 'report.html', 'trade.csv', 'trade.json']
+    """
+    pictures = {
+        each.group.name: picture.front(each.group, each.rows, each.note) for each in found if not each.skipped
+    }
+    with output_directory(out, {"command": "trade", "options": asked}) as output:
+        for name, content in pictures.items():
+            output.put(f"{name}.png", content)
+        output.put("trade.csv", report.as_csv(found))
+        output.put("trade.json", json_text(report.as_json(found, conditions)).encode())
+        output.put("report.html", report.as_html(found, pictures, conditions))

@@ -1,0 +1,77 @@
+"""`sssfit trade`: a small run, going on with one, and refusals."""
+
+import csv
+import json
+
+import pytest
+
+from sssfit.cli.main import main
+from sssfit.trade import measure
+
+SMALL = ["trade", "--rounds", "3", "--only", "precision"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("trade") / "out"
+    assert (
+        main(["trade", "--quick", "--rounds", "3", "--only", "precision", "--out", str(out), "--quiet"]) == 0
+    )
+    return out
+
+
+def test_files_and_their_numbers(run):
+    names = {path.relative_to(run).as_posix() for path in run.rglob("*") if path.is_file()}
+    files = {"precision.png", "report.html", "trade.csv", "trade.json", "manifest.json"}
+    assert names == files | {"measured/precision.json"}
+    found = json.loads((run / "trade.json").read_text())
+    assert found["conditions"]["rounds"] == 3 and found["conditions"]["quick"] is True
+    choices = {one["choice"]: one for one in found["groups"]["precision"]["choices"]}
+    # Half a unit in the last place at most, and a third of that in the mean, of distance and of density.
+    for name, digits in {"float32": 24, "float16": 11, "bfloat16": 8}.items():
+        assert 0.1 * 2.0**-digits < choices[name]["error"] < 10 * 2.0**-digits
+    assert choices["float64"]["error"] < 1e-14
+    assert [name for name, one in choices.items() if one["is_default"]] == ["float32"]
+    lines = list(csv.DictReader((run / "trade.csv").read_text().splitlines()))
+    assert [line["choice"] for line in lines] == list(choices)
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["options"]["only"] == ["precision"] and set(manifest["files"]) == files - {
+        "manifest.json"
+    }
+
+
+def test_a_run_goes_on_with_what_is_measured(run, capsys, monkeypatch):
+    before = (run / "trade.csv").read_bytes()
+
+    def fail(*arguments):
+        raise AssertionError("it is there")
+
+    monkeypatch.setattr(measure, "group", fail)
+    assert main([*SMALL, "--quick", "--out", str(run), "--resume"]) == 0
+    assert (run / "trade.csv").read_bytes() == before
+    assert "precision: 4 choices, on the front " in capsys.readouterr().out
+    assert main([*SMALL, "--out", str(run), "--resume"]) == 2
+    error = capsys.readouterr().err
+    assert "precision.json" in error and "was measured under other conditions" in error
+    assert (run / "trade.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["--only", "speed"], "--only must name groups among inverse_cdfs, "),
+        (["--rounds", "2"], "--rounds must be at least 3, got 2"),
+        (["--camera", "camera.json"], "--camera belongs to --frame"),
+        (["--frame", "frame.exr"], "--frame needs --camera"),
+        (["--frame", "frame.exr", "--camera", "camera.json"], "--frame needs --profile"),
+        (
+            ["--frame", "none.exr", "--camera", "none.json", "--profile", "skin1"],
+            "none.exr: there is no such file; check the path",
+        ),
+    ],
+)
+def test_refusals(arguments, message, tmp_path, capsys):
+    assert main(["trade", *arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert message in error and len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,179 @@
+"""Choices side by side: timing in turns, fronts, what is written, and what an interruption leaves."""
+
+import csv
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sssfit.files.errors import FileError
+from sssfit.trade import measure, memory, picture, report, timing, writing
+from sssfit.trade.choice import CannotMeasure, Choice, Cost, Error, Group, Task
+from sssfit.trade.measure import Row
+from sssfit.trade.pareto import beaten_by
+from sssfit.trade.report import Measured
+from sssfit.trade.setting import procedural_setting
+
+SETTING = procedural_setting(is_quick=True)
+
+
+def row(name, nanoseconds=1.0, error=1.0, time_noise=0.02, error_noise=0.0, **more):
+    rest = {"samples": 0.0, "bytes_moved": 8.0, "peak_bytes": math.nan, "compile_seconds": 0.5}
+    return Row("sums", name, {"n": 1}, False, error, error_noise, nanoseconds, time_noise, **(rest | more))
+
+
+def choice(name, work=100, error=0.5):
+    return Choice(name, {"work": work}, run=lambda: sum(range(work)), error=lambda: Error(error, 0.01))
+
+
+def group(*choices, cost: Cost = "time"):
+    def prepare(setting):
+        if not choices:
+            raise CannotMeasure("the frame has no normals")
+        return Task(10, choices)
+
+    return Group("sums", "Ways to add", "number", "error", "a sum", prepare, cost=cost)
+
+
+# --- timing
+
+
+def test_programs_take_turns_after_one_run_each():
+    calls = []
+    programs = {name: lambda name=name: calls.append(name) for name in "abc"}
+    times = timing.measure(programs, rounds=4, pause=0.0)
+    assert calls[:3] == ["a", "b", "c"]
+    rounds = ["".join(calls[start : start + 3]) for start in range(0, 15, 3)]
+    assert all(sorted(each) == ["a", "b", "c"] for each in rounds) and len(set(rounds)) > 2
+    assert {name: values.shape for name, values in times.items()} == dict.fromkeys("abc", (4,))
+
+
+@pytest.mark.parametrize("rounds, least", [(6, 0.96), (9, 0.95), (25, 0.95)])
+def test_intervals_of_medians_hold_the_median_of_any_distribution(rounds, least):
+    trials = 4000
+    times = np.exp(np.random.default_rng(1).normal(size=(trials, rounds)))
+    ends = [timing.median_and_interval(one) for one in times]
+    held = np.mean([low <= 1 <= high for low, _, high in ends])
+    # Four standard errors of that share.
+    assert held > least - 4 * math.sqrt(least * (1 - least) / trials)
+    assert np.mean([middle for _, middle, _ in ends]) == pytest.approx(1, abs=0.2)
+
+
+def test_few_times_have_their_range():
+    assert timing.median_and_interval(np.array([3.0, 1.0, 2.0])) == (1.0, 2.0, 3.0)
+
+
+def test_memory_is_that_of_the_run():
+    found = memory.peak_of(lambda: bytearray(80_000_000))
+    assert math.isnan(found) or 7e7 < found < 2e8
+
+
+# --- measuring
+
+
+def test_a_group_is_measured_choice_by_choice():
+    told = []
+    _, rows = measure.group(group(choice("few"), choice("many", 10_000)), SETTING, 3, told.append)
+    assert [each.choice for each in rows] == ["few", "many"]
+    assert rows[1].nanoseconds > 5 * rows[0].nanoseconds > 0
+    assert rows[0].error == 0.5 and rows[0].error_noise == 0.01 and rows[0].knobs == {"work": 100}
+    assert told[0] == "sums: preparing" and "many" in told[2]
+
+
+def test_too_few_rounds_are_refused():
+    with pytest.raises(ValueError, match="rounds must be at least 3, got 2"):
+        measure.group(group(choice("one")), SETTING, 2)
+
+
+# --- fronts
+
+numbers = st.floats(0.1, 10)
+
+
+@given(st.lists(st.tuples(numbers, numbers), min_size=1, max_size=12))
+def test_the_front_is_never_empty_and_beats_the_rest(pairs):
+    rows = [row(str(i), *pair, time_noise=0.0) for i, pair in enumerate(pairs)]
+    beaten = {each.choice: beaten_by(each, rows, group()) for each in rows}
+    assert "" in beaten.values()
+    for each in rows:
+        better = next((other for other in rows if other.choice == beaten[each.choice]), None)
+        if better is not None:
+            assert better.nanoseconds <= each.nanoseconds and better.error <= 1.1 * each.error
+
+
+@given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=6), st.floats(0.5, 2.0))
+def test_fronts_do_not_depend_on_units(pairs, unit):
+    rows = [row(str(i), *pair) for i, pair in enumerate(pairs)]
+    scaled = [row(str(i), unit * t, unit * e) for i, (t, e) in enumerate(pairs)]
+    for one, other in zip(rows, scaled, strict=True):
+        assert (beaten_by(one, rows, group()) == "") == (beaten_by(other, scaled, group()) == "")
+
+
+def test_noise_alone_beats_nothing():
+    rows = [row("a", 1.0, 1.0, error_noise=0.2), row("b", 1.01, 1.3, error_noise=0.2)]
+    assert [beaten_by(each, rows, group()) for each in rows] == ["", ""]
+
+
+def test_samples_can_be_what_is_paid():
+    rows = [row("a", 1.0, 1.0, samples=64.0), row("b", 9.0, 1.0, samples=16.0)]
+    assert [beaten_by(each, rows, group(cost="samples")) for each in rows] == ["b", ""]
+    assert [beaten_by(each, rows, group()) for each in rows] == ["", "a"]
+
+
+# --- reports
+
+FOUND = [
+    Measured(group(), (row("a", 2.0, 3.0), row("b", 1.0, 1.0))),
+    Measured(
+        Group("split", "Split", "pixel", "e", "r", lambda setting: Task(1, ())),
+        (),
+        "the frame has no normals",
+    ),
+]
+
+
+def test_tables_hold_every_number():
+    lines = list(csv.DictReader(io.StringIO(report.as_csv(FOUND).decode())))
+    assert [line["choice"] for line in lines] == ["a", "b"]
+    assert float(lines[0]["error"]) == 3.0 and lines[0]["peak_bytes"] == "" and lines[0]["beaten_by"] == "b"
+    found = report.as_json(FOUND, {"rounds": 5})
+    assert found["groups"]["sums"]["choices"][0]["peak_bytes"] is None
+    assert found["groups"]["split"]["skipped"] == "the frame has no normals"
+    json.dumps(found, allow_nan=False)
+
+
+def test_a_page_needs_nothing_else():
+    pictures = {"sums": picture.front(FOUND[0].group, FOUND[0].rows)}
+    page = report.as_html(FOUND, pictures, {"processor": "one & two"}).decode()
+    assert 'src="data:image/png;base64,' in page and "http" not in page.replace("http-equiv", "")
+    assert "Not measured: the frame has no normals." in page and "one &amp; two" in page
+
+
+# --- what is kept
+
+
+def test_what_is_measured_is_kept_and_gone_on_with(tmp_path):
+    conditions = writing.conditions(SETTING, 3)
+    ledger = writing.Ledger(tmp_path, conditions, resume=False)
+    first = ledger.measured(group(choice("one")), SETTING, 3, lambda text: None)
+    skipped = Group("split", "", "pixel", "", "", group().prepare)
+    assert ledger.measured(skipped, SETTING, 3, lambda text: None).skipped == "the frame has no normals"
+    again = writing.Ledger(tmp_path, conditions, resume=True)
+
+    def fail(setting):
+        raise AssertionError("it is there")
+
+    kept = again.measured(Group("sums", "", "number", "", "", fail), SETTING, 3, lambda text: None)
+    assert kept.rows[0].nanoseconds == first.rows[0].nanoseconds and kept.rows[0].knobs == {"work": 100}
+
+
+def test_other_conditions_are_refused(tmp_path):
+    ledger = writing.Ledger(tmp_path, {"rounds": 3}, resume=False)
+    ledger.measured(group(choice("one")), SETTING, 3, lambda text: None)
+    with pytest.raises(FileError, match="was measured under other conditions"):
+        other = writing.Ledger(tmp_path, {"rounds": 4}, resume=True)
+        other.measured(group(choice("one")), SETTING, 4, lambda text: None)
