@@ -163,6 +163,8 @@ def fit(
     data = _curve_data.checked(r, values, sigma, chosen, response)
     roots = _curve_data.root_weights(data, weights, response)
     names = _curve_data.channel_names(data.values.shape[1], channels)
+    if isinstance(shared, str):
+        raise ValueError(f"shared must be a sequence of names, got {shared!r}")
     known = {name for parameter in chosen.parameters for name in (parameter.name, parameter.stem)}
     if not set(shared) <= known:
         raise ValueError(

@@ -129,7 +129,8 @@ def _columns(columns: list[str], file: str) -> tuple[tuple[str, ...], list[str]]
     if "r_mm" not in columns:
         distances = [found for column in columns if (found := _DISTANCE.fullmatch(column))]
         if not distances:
-            raise fault("there is no column 'r_mm'")
+            only = len(columns) == 1 and any(mark in columns[0] for mark in ";\t")
+            raise fault("there is no column 'r_mm'", *["put commas between columns"] * only)
         unit = "in another unit than mm" if distances[0][3] else "without a unit"
         remedy = "name it 'r_mm' and write millimetres"
         raise fault(f"column {distances[0][0]!r} is a distance {unit}", remedy)
@@ -144,7 +145,8 @@ def _columns(columns: list[str], file: str) -> tuple[tuple[str, ...], list[str]]
     if unknown:
         raise fault(f"column {unknown[0]!r} is not known beside {known[1]!r}")
     if noise not in ([], ["sigma"], [_name("sigma", c) for c in channels]):
-        raise fault(f"column {noise[-1]!r} does not go with {known[1]!r} and {noise[0]!r}")
+        wanted = "'sigma'" if channels == ("",) else "'sigma', or 'sigma_r', 'sigma_g' and 'sigma_b'"
+        raise fault(f"column {noise[-1]!r} does not go with {known[1]!r}", f"call what goes with it {wanted}")
     return channels, noise
 
 

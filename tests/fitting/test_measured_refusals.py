@@ -58,6 +58,8 @@ REFUSED = {
     "weights below 0": (R, VALUES, {"weights": [1, 1, 1, -1]}, "finite numbers of at least 0, not all 0"),
     "weights of 0": (R, VALUES, {"weights": [0, 0, 0, 0]}, "finite numbers of at least 0, not all 0"),
     "shared": (R, THREE, {"shared": ["c"]}, "shared must be among albedo, d, got 'c'"),
+    "shared letters": (R, THREE, {"shared": "albedo"}, "shared must be a sequence of names, got 'albedo'"),
+    "padded number": (R, VALUES, {"model": "gaussians:02"}, "K from 1 to 8, got 'gaussians:02'"),
     "channels": (R, THREE, {"channels": ["a", "b"]}, "channels must be 3 different names"),
     "channels twice": (R, THREE, {"channels": ["a", "b", "a"]}, "channels must be 3 different names"),
     "eta": (R, VALUES, {"model": "dipole", "eta": 9.0}, "eta must be from 0.3 to 3.5, got 9"),
