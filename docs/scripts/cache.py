@@ -13,9 +13,9 @@ import time
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import frames_data
 import numpy as np
 import page
-from frames_data import DOCS, FOLDER, table
 
 from sssfit.frames import adaptive, gbuffer, procedural, render, scatter, scene_profiles
 from sssfit.frames.gbuffer import Frame
@@ -64,7 +64,7 @@ class View(NamedTuple):
 
 def near() -> View:
     """The middle sixteenth of a close view at 1920 x 1080, with the whole frame as its texture."""
-    if FOLDER.is_dir():
+    if frames_data.FOLDER.is_dir():
         frame, d = rendered("s4_patch", "gbuffer_1080p.exr")
         name = "s4_patch at 1920 x 1080, its middle 480 x 270"
     else:
@@ -77,7 +77,7 @@ def near() -> View:
 
 def far() -> View:
     """A head in a small frame, and all of it."""
-    if FOLDER.is_dir():
+    if frames_data.FOLDER.is_dir():
         frame, d = rendered("s2_head", "gbuffer.exr")
         return view("s2_head at 640 x 360", frame, d, np.ones(frame.depth.shape, bool))
     frame = procedural.frame()
@@ -85,8 +85,8 @@ def far() -> View:
 
 
 def rendered(scene: str, file: str) -> tuple[Frame, np.ndarray]:
-    camera = FOLDER / scene / "camera.json"
-    return gbuffer.load(FOLDER / scene / file, camera), scene_profiles.by_id(camera, PROFILE)[1]
+    camera = frames_data.FOLDER / scene / "camera.json"
+    return gbuffer.load(frames_data.FOLDER / scene / file, camera), scene_profiles.by_id(camera, PROFILE)[1]
 
 
 def view(name: str, frame: Frame, d: np.ndarray, where: np.ndarray) -> View:
@@ -164,9 +164,9 @@ def study(of: View, place: str) -> None:
         lines += rows(f"MIP {level}", both(of, level=level))
     lines += rows("prefilter's levels", both(of, settings=Settings(prefilter=PREFILTER)))
     lines += transforms(of)
-    text = table(lines, 2)
+    text = frames_data.table(lines, 2)
     print("\n" + text, flush=True)
-    page.replace(DOCS / "trade.md", place, text)
+    page.replace(frames_data.DOCS / "trade.md", place, text)
 
 
 def transforms(of: View) -> list[dict[str, str]]:
@@ -222,7 +222,7 @@ def study_setups(of: View) -> None:
             for counts in (of.fixed, of.adaptive)
         ]
         lines += rows(name, found)
-    print("\n" + table(lines, 2), flush=True)
+    print("\n" + frames_data.table(lines, 2), flush=True)
 
 
 def main() -> None:
