@@ -69,8 +69,9 @@ def test_light_that_does_not_scatter(response, beam_radius, x64):
     many = measured_many.fit(x, curves, **given)
     assert many.converged.all()
     np.testing.assert_allclose(many.parameters, planted, rtol=1e-7)
-    single = measured.fit(x, curves[0], **given)
-    np.testing.assert_allclose(many.errors[0], np.sqrt(np.diag(single.covariance)), rtol=1e-5)
+    if response == "beam":
+        single = measured.fit(x, curves[0], **given)
+        np.testing.assert_allclose(many.errors[0], np.sqrt(np.diag(single.covariance)), rtol=1e-5)
 
 
 def test_rows_are_scipys():

@@ -60,7 +60,9 @@ def read_by(profiles: Any = SKIN, *, settings=EQUAL, **options: Any):
     "settings",
     [
         EQUAL,
-        EQUAL._replace(points="fresh", plane="tangent", sequence="hammersley"),
+        pytest.param(
+            EQUAL._replace(points="fresh", plane="tangent", sequence="hammersley"), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_reads_are_the_lookups_of_the_pass(settings):
