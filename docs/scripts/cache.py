@@ -22,6 +22,7 @@ from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
 from sssfit.trade import addresses, cache
 from sssfit.trade.cache import Accesses, Counts
+from sssfit.trade.setting import skin
 from sssfit.trade.texture import Texture
 from sssfit.trade.warps import Schedule
 
@@ -33,8 +34,8 @@ SHARE = 1 / 5
 #: The papers' factor of the prefilter.
 PREFILTER = 1 / 16
 PROFILE = "skin1"
-#: Shape parameters of skin1, mm, for the procedural frame, whose ball is that much closer in the near view.
-SKIN, CLOSER = np.array([1.91785, 0.47946, 0.20352]), 8
+#: How much closer the procedural frame's ball is in the near view.
+CLOSER = 8
 
 
 class View(NamedTuple):
@@ -68,7 +69,7 @@ def near() -> View:
         frame, d = rendered("s4_patch", "gbuffer_1080p.exr")
         name = "s4_patch at 1920 x 1080, its middle 480 x 270"
     else:
-        frame, d = procedural.frame(width=1920, height=1080), SKIN * CLOSER
+        frame, d = procedural.frame(width=1920, height=1080), skin() * CLOSER
         name = "procedural frame at 1920 x 1080, its middle 480 x 270"
     middle = np.zeros(frame.depth.shape, bool)
     middle[405:675, 720:1200] = True
@@ -81,7 +82,7 @@ def far() -> View:
         frame, d = rendered("s2_head", "gbuffer.exr")
         return view("s2_head at 640 x 360", frame, d, np.ones(frame.depth.shape, bool))
     frame = procedural.frame()
-    return view("procedural frame at 640 x 360", frame, SKIN, np.ones(frame.depth.shape, bool))
+    return view("procedural frame at 640 x 360", frame, skin(), np.ones(frame.depth.shape, bool))
 
 
 def rendered(scene: str, file: str) -> tuple[Frame, np.ndarray]:

@@ -152,11 +152,8 @@ def _check(options: argparse.Namespace, models) -> None:
         (("axis", "flip"), options.response in ("line", "edge"), "--response line and edge"),
     )
     for names, is_there, owner in owners:
-        given = [
-            name
-            for name in names
-            if getattr(options, name) is not None and getattr(options, name) is not False
-        ]
+        # A number may be 0, which equals False.
+        given = [name for name in names if not any(getattr(options, name) is no for no in (None, False))]
         if given and not is_there:
             raise ValueError(f"--{given[0].replace('_', '-')} belongs to {owner}")
     if is_image and options.pixel_mm is None:

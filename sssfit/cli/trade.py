@@ -79,9 +79,7 @@ def _setting(options: argparse.Namespace):
     for name in ("camera", "profile"):
         if getattr(options, name) is None:
             raise ValueError(f"--frame needs --{name}")
-    frame = gbuffer.load(
-        options.frame, options.camera, tell=lambda text: print(f"warning: {text}", file=sys.stderr)
-    )
+    frame = gbuffer.load(options.frame, options.camera, tell=_warn)
     ids = sorted(set(frame.profile_id.ravel().tolist()) - {0})
     profiles = render_options.profiles_of(options, ids, None)
     return setting.Setting(options.quick, frame, profiles, Path(options.frame).name)

@@ -84,33 +84,22 @@ def found(
     held = (z - bounds[0] < _AT_BOUND) | (bounds[1] - z < _AT_BOUND)
     covariance = _covariance(setup.loss, problem, slopes, sigma, standardized, held)
     # Whether differences weigh as their noise says: chi2 then is what was minimized.
-    is_weighed = not is_known or np.ptp((np.asarray(problem.root_weights) * sigma)[used]) < _ROUNDING
-    expected = dof if is_weighed else _expected_chi2(slopes, sigma, used, covariance, held)
-    factor, misfit = intervals.misfit(standardized, expected, is_known and setup.loss == "linear")
+    weighed = (np.asarray(problem.root_weights) * sigma)[used]
+    is_weighed = not is_known or np.ptp(weighed) < _ROUNDING * np.max(weighed)
+    judged = standardized if is_weighed else _at_the_noises_optimum(slopes, sigma, used, standardized, held)
+    factor, misfit = intervals.misfit(judged, dof, is_known and setup.loss == "linear")
     covariance = factor * covariance
     widths = tuple(intervals.half_width(level, math.inf if is_known else dof) for level in intervals.LEVELS)
     roots = used / sigma / math.sqrt(factor)
     likelihood = _Likelihood(setup, problem._replace(root_weights=roots, noise=np.ones(())), z, bounds)
     pulled = _pulled(setup, problem, slopes, p, held, bounds[1] - z < _AT_BOUND)
-    estimates = {
-        name: _opened(
-            _estimate(
-                setup,
-                i,
-                (y[i], p[i], unit[i]),
-                covariance,
-                held,
-                widths,
-                likelihood if is_weighed else None,
-                bool(pulled[i]),
-            ),
-            pulled[i],
-        )
-        for i, name in enumerate(names)
-    }
-    derived = _derived.derived(
-        setup, names, y, covariance, widths, [one.determined for one in estimates.values()]
-    )
+    estimates = {}
+    for i, name in enumerate(names):
+        number, along = (y[i], p[i], unit[i]), likelihood if is_weighed else None
+        found = _estimate(setup, i, number, covariance, held, widths, along, bool(pulled[i]))
+        estimates[name] = _opened(found, pulled[i])
+    determined = [one.determined for one in estimates.values()]
+    derived = _derived.derived(setup, names, y, covariance, widths, determined)
     in_logarithms = (slopes * np.where(setup.is_share, y, 1.0) * roots[..., None])[used]
     notes = [misfit] if misfit else []
     notes += [f"{names[i]} lies on its bound, {p[i]:.4g}" for i in np.flatnonzero(held)]
@@ -169,12 +158,12 @@ def _covariance(loss, problem, slopes, sigma, standardized, held) -> np.ndarray:
     return covariance
 
 
-def _expected_chi2(slopes, sigma, used, covariance, held) -> float:
-    """The mean of chi2 over the noise, where what was minimized is weighted otherwise."""
+def _at_the_noises_optimum(slopes, sigma, used, standardized, held) -> np.ndarray:
+    """What would be left where differences weigh as their noise says, for a model that is linear so far."""
     design = (slopes / sigma[..., None])[used][:, ~held]
-    information = design.T @ design
-    inner = np.where(np.isfinite(covariance), covariance, 0)[np.ix_(~held, ~held)]
-    return float(used.sum() - 2 * len(information) + np.sum(inner * information))
+    left = standardized.copy()
+    left[used] -= design @ np.linalg.lstsq(design, standardized[used], rcond=None)[0]
+    return left
 
 
 def _pulled(setup, problem, slopes, p, held, at_upper) -> np.ndarray:

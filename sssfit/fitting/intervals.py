@@ -86,7 +86,7 @@ def around(
     return tuple((float(value / factor), float(value * factor)) for factor in factors)
 
 
-def misfit(residuals: np.ndarray, dof: float, is_noise_known: bool) -> tuple[float, str]:
+def misfit(residuals: np.ndarray, dof: int, is_noise_known: bool) -> tuple[float, str]:
     """By how much the variance has to grow because the model does not fit, and why.
 
     Noise changes its sign from point to point. A misfit does not: its swings are then what is counted, as
@@ -94,7 +94,7 @@ def misfit(residuals: np.ndarray, dof: float, is_noise_known: bool) -> tuple[flo
 
     Args:
         residuals: in standard deviations of the noise, in the order of the distance, shape (m, channels).
-        dof: degrees of freedom, or what chi2 is on average.
+        dof: degrees of freedom.
         is_noise_known: whether the noise was given; else it was estimated from these residuals.
 
     Returns:

@@ -226,7 +226,7 @@ def _accumulated(scene, pixels, most, draw, d, camera, settings, sums, add):
 
 def _index(scene, pixels, number, sample: Samples, camera):
     """The pixel that a sample hits; the one after the last for none, or beyond a pixel's count."""
-    column, row, _ = _hit(pixels, sample, camera)
+    column, row, _ = met(pixels, sample, camera)
     # What is left of 0 or far away becomes an unsigned number beyond the frame.
     column, row = (jnp.floor(place).astype(jnp.int32).astype(jnp.uint32) for place in (column, row))
     used = (column < scene.width) & (row < scene.height) & (number < pixels.count)
@@ -235,7 +235,7 @@ def _index(scene, pixels, number, sample: Samples, camera):
 
 def _found(scene, pixels, sample: Samples, index, d, camera, settings, keep):
     """What a sample adds: weight times light of each channel, then for the ratio the weights."""
-    column, row, offset = _hit(pixels, sample, camera)
+    column, row, offset = met(pixels, sample, camera)
     hit = _pairs.at(scene.layers, index, keep)
     light, ground = hit[: len(d)], hit[len(d) : scene.layers_count]
     weights = list(sample.weights)
@@ -258,7 +258,7 @@ def _found(scene, pixels, sample: Samples, index, d, camera, settings, keep):
     return lit + (weights if counts is None else [weight * counts for weight in weights])
 
 
-def _hit(pixels, sample: Samples, camera):
+def met(pixels, sample: Samples, camera):
     """Where a sample falls, in pixels, and the offset in space."""
     x, y = sample.x, sample.y
     offset = x, y
@@ -276,13 +276,17 @@ def _hit(pixels, sample: Samples, camera):
 
 def _filtered(filtered, pixels, sample, column, row, settings):
     """The prefiltered light of each channel around a place, and how much of its surroundings counts."""
+    texel = mipmap.premultiplied(filtered, column, row, level(pixels, sample, settings))
+    return [texel[..., c] for c in range(texel.shape[-1] - 1)], texel[..., -1]
+
+
+def level(pixels, sample: Samples, settings, top: float = prefilter.TOP):
+    """The level of the prefiltered light that a sample reads, at most the top one."""
     around = sample.spacing * (2 * jnp.pi) * sample.radius
     count = jnp.maximum(pixels.count, 1)
     bias = prefilter.bias_from_scale(settings.prefilter)
     density = jnp.where(around > 0, 1 / jnp.where(around > 0, around, 1), jnp.inf)
-    level = prefilter.level(density, count, 1 / pixels.per_area, bias=bias)
-    texel = mipmap.premultiplied(filtered, column, row, level)
-    return [texel[..., c] for c in range(texel.shape[-1] - 1)], texel[..., -1]
+    return prefilter.level(density, count, 1 / pixels.per_area, bias=bias, top=top)
 
 
 def _weights(pixels, last, offset, sample, d, camera, settings, keep):

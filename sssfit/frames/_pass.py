@@ -67,7 +67,7 @@ def _every_block(program, seen, counts, d, random, settings, rows):
     number, traced = _lanes.number(), _lanes.is_traced((seen, counts, d, random))
     wanted = None if traced else jax.eval_shape(_scene, seen, settings).layers
     spare = None if traced else _spare.take("scene", wanted, (seen, counts, d))
-    prepared = _prepared(spare, seen, counts, d, random, settings, rows, number)
+    prepared = prepare(spare, seen, counts, d, random, settings, rows, number)
 
     def lane(first, compiled):
         return compiled(program, prepared, first, seen, d, random, settings, number)
@@ -84,9 +84,9 @@ def _every_block(program, seen, counts, d, random, settings, rows):
 @functools.partial(
     jax.jit, static_argnames=("settings", "rows", "lanes"), donate_argnames="spare", keep_unused=True
 )
-def _prepared(spare, seen, counts, d, random, settings, rows, lanes):
+def prepare(spare, seen, counts, d, random, settings, rows, lanes):
     """`spare` is memory for the scene, or None."""
-    d = _positive(d)
+    d = positive(d)
     counts = jnp.where(seen.mask, counts, 0)
     if settings.split is not None:
         share = split.distant_share(jnp.where(seen.mask, seen.depth, 1), seen.camera, d, settings)
@@ -99,7 +99,7 @@ def _prepared(spare, seen, counts, d, random, settings, rows, lanes):
 
 def _lane(program, prepared, first, seen, d, random, settings, lanes):
     """The results of every so manieth block, (blocks, segments, VERSIONS, ...)."""
-    d = _positive(d)
+    d = positive(d)
     blocks = len(prepared.order) // lanes
     per_row = -(-seen.depth.shape[1] // VERSIONS)
 
@@ -149,7 +149,7 @@ def _image_and_variance(parts, counts, places, seen, d, settings):
 
 def _composed(found, counts, seen, d, settings):
     """The samples' means, with each pixel's own share and what is not sampled."""
-    scatters, d = d != 0, _positive(d)
+    scatters, d = d != 0, positive(d)
     drawn = counts > 0
     if settings.split is not None:
         disc = points.inner(split.radius(jnp.where(drawn, seen.depth, 1), seen.camera), d, settings)
@@ -166,7 +166,7 @@ def _assembled(parts, places, shape):
     return found.reshape(height, -1, results.shape[-1])[:, :width]
 
 
-def _positive(d):
+def positive(d):
     """Shapes to divide by; a channel that does not scatter is left as it is at the end."""
     d = jnp.where(d != 0, d, jnp.max(d))
     return jnp.where(d != 0, d, 1)

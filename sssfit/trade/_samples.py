@@ -10,7 +10,6 @@ from jax import Array
 
 from sssfit.frames import _block, _pass, points, split
 from sssfit.frames.points import VERSIONS, Settings
-from sssfit.sampling import prefilter
 from sssfit.trade.texture import Texture
 
 
@@ -50,13 +49,13 @@ def prepared(frame, d, mask, counts, most: int, settings: Settings, seed: int, n
     places, inside = np.zeros(height * width, np.int32), column < width
     places[row[inside] * width + column[inside]] = np.flatnonzero(inside)
     flat = np.asarray(drawn).reshape(-1)
-    return Prepared(pixels, places, flat, table, _pass._positive(d), random.most, frame.camera)
+    return Prepared(pixels, places, flat, table, _pass.positive(d), random.most, frame.camera)
 
 
 @functools.partial(jax.jit, static_argnames=("settings", "rows"))
 def _before_samples(seen, counts, d, random, settings, rows):
     """All pixels in one axis, their counts, and the table; nothing else that a pass prepares is computed."""
-    found = _pass._prepared(None, seen, counts, d, random, settings, rows, 1)
+    found = _pass.prepare(None, seen, counts, d, random, settings, rows, 1)
     height, width = seen.depth.shape
     per_row = -(-width // VERSIONS)
     pixels, _ = _block.pixels_of(
@@ -103,13 +102,13 @@ def addresses(
         if settings.split is not None:
             disc = points.inner(split.radius(own.depth, of.camera), of.d, settings)
         sample = _block.fresh(own, of.most, of.d, settings, disc)(number, lambda value: value)
-    column, row, _ = _block._hit(own, sample, of.camera)
+    column, row, _ = _block.met(own, sample, of.camera)
     used = (place >= 0) & (number < own.count)
     used = used & (column >= 0) & (column < texture.width) & (row >= 0) & (row < texture.height)
     if level is not None:
         found = _texels(jnp.broadcast_to(level, place.shape), row, column, texture, bilinear)
     else:
-        fine = jnp.floor(_level(own, sample, settings, len(texture.sizes) - 1)).astype(jnp.int32)
+        fine = jnp.floor(_block.level(own, sample, settings, top=len(texture.sizes) - 1)).astype(jnp.int32)
         # As the lookup of a prefiltered image does: both levels, whatever their weights.
         coarse = jnp.minimum(fine + 1, len(texture.sizes) - 1)
         found = [a for one in (fine, coarse) for a in _texels(one, row, column, texture, True)]
@@ -124,12 +123,3 @@ def _texels(level, row, column, texture, bilinear):
         return [texture.address(level, jnp.floor(row), jnp.floor(column))]
     row, column = jnp.floor(row - 0.5).astype(jnp.int32), jnp.floor(column - 0.5).astype(jnp.int32)
     return [texture.address(level, row + down, column + across) for down in (0, 1) for across in (0, 1)]
-
-
-def _level(pixels, sample, settings, last):
-    """The level that a sample of the prefiltered image has, as in `_block`."""
-    around = sample.spacing * (2 * jnp.pi) * sample.radius
-    density = jnp.where(around > 0, 1 / jnp.where(around > 0, around, 1), jnp.inf)
-    bias = prefilter.bias_from_scale(settings.prefilter)
-    count = jnp.maximum(pixels.count, 1)
-    return prefilter.level(density, count, 1 / pixels.per_area, bias=bias, top=last)

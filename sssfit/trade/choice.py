@@ -32,7 +32,7 @@ class Choice:
         knobs: what is set for it, by name: strings, numbers, booleans or None.
         run: does it once; returns when the result is there.
         error: measures the result's error; called once.
-        samples: drawn for each unit of work; 0 where none are.
+        samples: drawn for each unit of work, or what tells it once the choice has run; 0 where none are.
         bytes_moved: read and written at least for each unit of work, by an algorithm that keeps nothing.
         is_default: what the package does where nothing is said.
     """
@@ -41,7 +41,7 @@ class Choice:
     knobs: Mapping[str, Any]
     run: Callable[[], Any]
     error: Callable[[], Error]
-    samples: float = 0.0
+    samples: float | Callable[[], float] = 0.0
     bytes_moved: float = 0.0
     is_default: bool = False
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sssfit.trade import memory, timing
+from sssfit.trade import machine, timing
 from sssfit.trade.choice import Choice, Error, Group, Task
 from sssfit.trade.setting import Setting
 
@@ -33,7 +33,7 @@ class Row:
         samples: drawn for a unit of work.
         bytes_moved: read and written at least for a unit of work.
         peak_bytes: memory that a run takes beyond what was there, or NaN where the system does not tell.
-        compile_seconds: of the first run more than of a later one.
+        compile_seconds: of the first run more than of a later one; what was compiled before is not again.
     """
 
     group: str
@@ -99,7 +99,7 @@ def _once(choice: Choice) -> tuple[float, float, Error]:
     begun = time.perf_counter()
     choice.run()
     first = time.perf_counter() - begun
-    return first, memory.peak_of(choice.run), choice.error()
+    return first, machine.peak_of(choice.run), choice.error()
 
 
 def _row(of: Group, task: Task, choice: Choice, times: np.ndarray, first: float, peak: float, error: Error):
@@ -113,7 +113,7 @@ def _row(of: Group, task: Task, choice: Choice, times: np.ndarray, first: float,
         error_noise=float(error.noise),
         nanoseconds=1e9 * median / task.units,
         time_noise=max((high - low) / (2 * median), _LEAST_NOISE),
-        samples=choice.samples,
+        samples=float(choice.samples() if callable(choice.samples) else choice.samples),
         bytes_moved=choice.bytes_moved,
         peak_bytes=peak,
         compile_seconds=max(first - median, 0.0),

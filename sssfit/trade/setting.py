@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from sssfit.files.json_text import sha256_bytes
 from sssfit.frames import procedural, render
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
 from sssfit.frames.scene_profiles import Profiles
 
-#: Of the procedural frame's ball: skin's three shapes, mm.
-SKIN = np.array([1.9178483, 0.4794626, 0.2035194])
 #: Width and height of the procedural frame.
 QUICK_SIZE, FULL_SIZE = (320, 180), (640, 360)
 #: Pixels up to which every pixel's light is summed exactly; beyond, this many samples stand for the sum.
@@ -28,12 +27,14 @@ class Setting:
         frame: what frames' groups scatter.
         profiles: shapes in mm by id.
         frame_name: what the report calls it.
+        exact: the scattered frame, (H, W, 3), where it is known already.
     """
 
     is_quick: bool
     frame: Frame
     profiles: Profiles
     frame_name: str
+    exact: np.ndarray | None = None
 
     @functools.cached_property
     def mask(self) -> np.ndarray:
@@ -46,27 +47,31 @@ class Setting:
         return int(self.mask.sum())
 
     @property
-    def is_summed(self) -> bool:
-        """Whether the reference is exact."""
-        return self.pixels <= MOST_SUMMED and self.frame.normal is not None
+    def settings(self) -> Settings:
+        """The default settings, but for what needs normals where the frame has none."""
+        return Settings() if self.frame.normal is not None else Settings(estimator="ratio")
 
     @functools.cached_property
     def reference(self) -> np.ndarray:
         """The scattered frame that others are compared with, (H, W, 3)."""
-        if self.is_summed:
+        if self.exact is not None:
+            return self.exact
+        if self.pixels <= MOST_SUMMED and self.frame.normal is not None:
             return render.by_sums(self.frame, self.profiles).image
-        settings = Settings() if self.frame.normal is not None else Settings(distance="plane")
         many: dict[str, Any] = {
             "least": REFERENCE_SAMPLES,
             "most": REFERENCE_SAMPLES,
             "seed": render.LARGEST_SEED,
         }
-        return render.by_sampling(self.frame, self.profiles, settings, **many).image
+        return render.by_sampling(self.frame, self.profiles, self.settings, **many).image
 
     def describe(self) -> dict[str, Any]:
-        """Facts for a report."""
+        """Facts for a report, and what tells one frame from another."""
         height, width = self.mask.shape
-        return {"frame": self.frame_name, "width": width, "height": height, "pixels": self.pixels}
+        content = b"".join(np.asarray(layer).tobytes() for layer in self.frame[:5] if layer is not None)
+        shapes = {str(i): None if d is None else list(map(float, d)) for i, d in self.profiles.items()}
+        size = {"width": width, "height": height, "pixels": self.pixels}
+        return {"frame": self.frame_name, **size, "d_mm": shapes, "frame_sha256": sha256_bytes(content)}
 
 
 def procedural_setting(is_quick: bool) -> Setting:
@@ -84,4 +89,18 @@ def procedural_setting(is_quick: bool) -> Setting:
     """
     width, height = QUICK_SIZE if is_quick else FULL_SIZE
     frame = procedural.frame(width=width, height=height)
-    return Setting(is_quick, frame, {1: SKIN, 2: None}, "procedural")
+    return Setting(is_quick, frame, {procedural.BALL: skin(), procedural.BOARD: None}, "procedural")
+
+
+def skin() -> np.ndarray:
+    """The shapes of the procedural scene's ball.
+
+    Returns:
+        d, mm, (3,).
+
+    Example:
+        >>> skin().round(2)
+        array([1.92, 0.48, 0.2 ])
+    """
+    scene = procedural.describe(range(0), [], width=1, height=1)
+    return np.asarray(scene["profiles_by_id"][str(procedural.BALL)]["d"])

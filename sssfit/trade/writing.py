@@ -15,6 +15,7 @@ from sssfit.files.output import output_directory, versions
 from sssfit.trade import machine, measure, picture, report
 from sssfit.trade.choice import CannotMeasure, Group
 from sssfit.trade.measure import Row, Tell
+from sssfit.trade.registry import GROUPS
 from sssfit.trade.report import Measured
 from sssfit.trade.setting import Setting
 
@@ -53,14 +54,17 @@ class Ledger:
     """
 
     def __init__(self, out: Path, conditions: dict[str, Any], resume: bool):
-        """Keep groups in `out`/measured; what is there is used if `resume`, else removed one by one.
+        """Keep groups in `out`/measured; what is there is used if `resume`, else removed.
 
         Raises:
-            FileError: with `resume`, something there was measured under other conditions.
+            FileError: the folder cannot be made.
         """
         self.conditions = conditions
-        self._folder, self._resume = out / _FOLDER, resume
+        self._folder = out / _FOLDER
         atomic.make_directory(self._folder)
+        # Else a run that is interrupted and gone on with would take up what an earlier one has left.
+        for name in () if resume else GROUPS:
+            (self._folder / f"{name}.json").unlink(missing_ok=True)
 
     def measured(self, group: Group, setting: Setting, rounds: int, tell: Tell) -> Measured:
         """A group, from its file or measured now and kept.
@@ -69,8 +73,10 @@ class Ledger:
             FileError: the file cannot be read or written, or is of other conditions.
         """
         path = self._folder / f"{group.name}.json"
-        if self._resume and path.exists():
+        if path.exists():
             return self._read(path, group)
+        # Else a group would not compile what one before it has.
+        jax.clear_caches()
         try:
             note, made = measure.group(group, setting, rounds, tell)
             found = Measured(group, tuple(made), note=note)
@@ -86,11 +92,8 @@ class Ledger:
     def _read(self, path: Path, group: Group) -> Measured:
         content = read_json(path)
         if content.get("conditions") != self.conditions:
-            problem, remedy = (
-                "was measured under other conditions",
-                "use another --out, or leave --resume out",
-            )
-            raise FileError(path, "", problem, remedy)
+            remedy = "use another --out, or leave --resume out"
+            raise FileError(path, "", "was measured under other conditions", remedy)
         return Measured(
             group, tuple(Row(**_numbers(row)) for row in content["rows"]), content["skipped"], content["note"]
         )

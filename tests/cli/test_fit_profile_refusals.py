@@ -132,6 +132,7 @@ BAD_OPTIONS = [
     ([*IMAGE, "--axis", "y"], "--axis belongs to --response line and edge"),
     ([*IMAGE, "--center", "1", "nan"], "center must be two finite numbers of pixels, got [1.0, nan]"),
     (["wax.csv", "--steps", "100"], "--steps belongs to --posterior"),
+    (["wax.csv", "--seed", "0"], "--seed belongs to --posterior"),
     (["wax.csv", "--resume"], "--resume belongs to --posterior"),
 ]
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import pytest
 
@@ -54,6 +55,20 @@ def test_a_run_goes_on_with_what_is_measured(run, capsys, monkeypatch):
     error = capsys.readouterr().err
     assert "precision.json" in error and "was measured under other conditions" in error
     assert (run / "trade.csv").read_bytes() == before
+
+
+def test_an_interruption_loses_nothing(run, tmp_path, capsys, monkeypatch):
+    out = tmp_path / "out"
+    shutil.copytree(run, out)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+    def interrupted(of, *rest):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(measure, "group", interrupted)
+    assert main([*SMALL, "histories", "--quick", "--out", str(out), "--resume"]) == 2
+    assert "interrupted" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.optimize import curve_fit, least_squares
 
 from sssfit.fitting import measured, profile_models, responses
@@ -274,6 +275,24 @@ def test_weights_that_are_not_the_noises_have_intervals_of_their_own_estimate():
     assert found.notes == ()
     low, high = np.log(np.array(d.interval_95) / d.value)
     assert low == pytest.approx(-high) and high == pytest.approx(1.959964 * d.standard_error / d.value)
+
+
+def test_weights_that_are_not_the_noises_make_no_misfit():
+    clean, found = burley(R, 0.7, 1.0), []
+    for seed in range(60):
+        values = clean * (1 + 0.3 * np.random.default_rng(seed).normal(size=POINTS))
+        found.append(measured.fit(R, values, sigma=0.3 * clean, weights="area"))
+    # Each of the two signs of a misfit has a chance of 1 in 1000: of three among sixty it is below 1 in 4000.
+    assert sum("does not fit" in note for fit in found for note in fit.notes) < 3
+    # By chi2 alone, which is not what was minimized, many would have been called misfits.
+    assert np.sum(stats.chi2.sf([fit.chi2 for fit in found], POINTS - 2) < 1e-3) >= 6
+
+
+def test_a_misfit_is_seen_under_any_weights():
+    # Twice the light near the source, at ten times the noise.
+    values = burley(R, 0.7, 1.0) * (1 + np.exp(-3 * R))
+    found = measured.fit(R, values, sigma=0.03 * values, weights="area")
+    assert any("does not fit" in note for note in found.notes)
 
 
 def test_intervals_of_the_likelihood_end_where_it_has_fallen():

@@ -1,17 +1,16 @@
 """What is read: the same texels as the frame's passes look up, each warp's in its turn, each line once."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sssfit.frames import _block, procedural, scatter
+from sssfit.frames import procedural, scatter
 from sssfit.frames.camera import orthographic
 from sssfit.frames.gbuffer import Frame
 from sssfit.frames.points import Settings
-from sssfit.trade import _samples, addresses, cache
+from sssfit.trade import addresses, cache
 from sssfit.trade.texture import Texture
 from sssfit.trade.warps import Schedule
 
@@ -91,20 +90,6 @@ def test_bilinear_reads_are_the_four_texels_around():
     for one, of in zip(nearest, unit, strict=True):
         row, column = np.divmod(four[units == of] // 8, W)
         assert one in four[units == of] and np.ptp(row) <= 1 and np.ptp(column) <= 1
-
-
-def test_the_prefilters_levels_are_those_of_the_pass(monkeypatch):
-    def level_itself(filtered, column, row, level):
-        return jnp.stack([level, jnp.ones_like(level)], axis=-1)
-
-    monkeypatch.setattr(_block.mipmap, "premultiplied", level_itself)
-    spacing, radius = jnp.array([[0.0, 0.1, 0.5, 2.0], [1.0, 5.0, 20.0, 80.0]])
-    sample = SimpleNamespace(spacing=spacing, radius=radius)
-    pixels = SimpleNamespace(count=jnp.array([1, 0, 16, 3]), per_area=jnp.array([1.0, 2.0, 4.0, 8.0]))
-    filtered = Settings(prefilter=0.1)
-    (found,), _ = _block._filtered(None, pixels, sample, None, None, filtered)
-    np.testing.assert_array_equal(_samples._level(pixels, sample, filtered, 6), jnp.clip(found, 0, 6))
-    assert len(np.unique(np.floor(found))) == 4
 
 
 def test_prefiltered_reads_are_four_texels_in_each_of_two_levels():

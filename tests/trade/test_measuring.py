@@ -1,7 +1,9 @@
 """Choices side by side: timing in turns, fronts, what is written, and what an interruption leaves."""
 
 import csv
+import dataclasses
 import io
+import itertools
 import json
 import math
 
@@ -11,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sssfit.files.errors import FileError
-from sssfit.trade import measure, memory, picture, report, timing, writing
+from sssfit.trade import machine, measure, picture, report, setting, timing, writing
 from sssfit.trade.choice import CannotMeasure, Choice, Cost, Error, Group, Task
 from sssfit.trade.measure import Row
 from sssfit.trade.pareto import beaten_by
@@ -68,7 +70,7 @@ def test_few_times_have_their_range():
 
 
 def test_memory_is_that_of_the_run():
-    found = memory.peak_of(lambda: bytearray(80_000_000))
+    found = machine.peak_of(lambda: bytearray(80_000_000))
     assert math.isnan(found) or 7e7 < found < 2e8
 
 
@@ -169,6 +171,28 @@ def test_what_is_measured_is_kept_and_gone_on_with(tmp_path):
 
     kept = again.measured(Group("sums", "", "number", "", "", fail), SETTING, 3, lambda text: None)
     assert kept.rows[0].nanoseconds == first.rows[0].nanoseconds and kept.rows[0].knobs == {"work": 100}
+
+
+def test_a_new_run_takes_up_nothing_of_an_earlier_one(tmp_path):
+    conditions = writing.conditions(SETTING, 3)
+    kept = tmp_path / "measured" / "split.json"
+    split = Group("split", "", "number", "", "", group(choice("one")).prepare)
+    writing.Ledger(tmp_path, conditions, resume=False).measured(split, SETTING, 3, lambda text: None)
+    assert kept.exists()
+    writing.Ledger(tmp_path, conditions, resume=True)
+    assert kept.exists()
+    writing.Ledger(tmp_path, conditions, resume=False)
+    assert not kept.exists()
+
+
+def test_other_frames_and_profiles_are_other_conditions():
+    wider = dataclasses.replace(SETTING, profiles={1: 2 * setting.skin(), 2: None})
+    brighter = dataclasses.replace(
+        SETTING, frame=SETTING.frame._replace(irradiance=2 * SETTING.frame.irradiance)
+    )
+    found = [writing.conditions(one, 3) for one in (SETTING, wider, brighter)]
+    assert found[0] == writing.conditions(procedural_setting(is_quick=True), 3)
+    assert all(a != b for a, b in itertools.combinations(found, 2))
 
 
 def test_other_conditions_are_refused(tmp_path):

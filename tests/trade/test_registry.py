@@ -1,6 +1,7 @@
 """Every public function is an approximation that a group measures, or stands here with what it is instead."""
 
 import ast
+import dataclasses
 import importlib
 from pathlib import Path
 
@@ -62,7 +63,7 @@ def test_unknown_groups_are_refused_with_a_list():
 
 def test_a_frame_without_normals_is_no_setting_for_geometry():
     setting = procedural_setting(is_quick=True)
-    flat = type(setting)(True, setting.frame._replace(normal=None), setting.profiles, "flat")
+    flat = dataclasses.replace(setting, frame=setting.frame._replace(normal=None))
     with pytest.raises(CannotMeasure, match="the frame has no normals"):
         registry.GROUPS["estimators"].prepare(flat)
 
@@ -73,3 +74,26 @@ def test_choices_have_names_of_their_own_and_one_default(name):
     names = [choice.name for choice in task.choices]
     assert len(set(names)) == len(names) > 2
     assert sum(choice.is_default for choice in task.choices) == 1
+
+
+@pytest.mark.parametrize("name", ["counts", "split", "sequences"])
+def test_a_frame_without_profiles_cannot_be_measured(name):
+    empty = dataclasses.replace(procedural_setting(is_quick=True), profiles={1: None, 2: None})
+    with pytest.raises(CannotMeasure, match="the frame has no pixel with a profile"):
+        registry.GROUPS[name].prepare(empty)
+
+
+@pytest.mark.parametrize("name", ["counts", "sequences", "importance", "channels", "estimators", "prefilter"])
+def test_what_is_the_default_stands_in_each_group_of_frames(name):
+    task = registry.GROUPS[name].prepare(procedural_setting(is_quick=True))
+    (default,) = (choice for choice in task.choices if choice.is_default)
+    assert default.samples == 64
+
+
+@pytest.mark.slow
+def test_samples_are_measured_against_the_convolution():
+    fft, few, more, many = registry.GROUPS["convolution"].prepare(procedural_setting(is_quick=True)).choices
+    assert fft.error().value == 0
+    found = [each.error().value for each in (few, more, many)]
+    # Evenly spread points: at least as the root of the number, which is four times as large each.
+    assert found[0] > 1.9 * found[1] > 1.9 * 1.9 * found[2] > 0

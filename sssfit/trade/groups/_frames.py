@@ -1,6 +1,6 @@
 """What the groups that scatter frames share: an image's error over several seeds, and its cost."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -9,16 +9,21 @@ import numpy as np
 from sssfit.frames import scatter
 from sssfit.frames.points import Settings
 from sssfit.trade.choice import CannotMeasure, Choice, Error, Task
-from sssfit.trade.setting import Setting
+from sssfit.trade.setting import MOST_SUMMED, REFERENCE_SAMPLES, Setting
 
 #: What an image's error is, and against what.
 ERROR = "root mean square error over that of the light"
-REFERENCE = "the exact sum over all visible pixels, or, for more than 45,000 of them, 16,384 samples in each"
+REFERENCE = (
+    f"the exact sum over all visible pixels, or, for more than {MOST_SUMMED:,} of them or without normals, "
+    f"{REFERENCE_SAMPLES:,} samples in each"
+)
+#: Samples of a pixel where something else is chosen, and the default of `sssfit render`.
+SPP = 64
 #: Images with independent samples over which an error is averaged.
 _SEEDS = 4
 # Of a pixel: three numbers of irradiance, depth, its normal and id read, three written. Of a sample: three
-# numbers of irradiance, and its depth where distance is that of the surface.
-_PIXEL_BYTES, _SAMPLE_BYTES, _DEPTH_BYTES = 4 * (3 + 1 + 3 + 1 + 3), 12, 4
+# numbers of irradiance, in eight texels if it is prefiltered, and its depth where distance is to the surface.
+_PIXEL_BYTES, _SAMPLE_BYTES, _TEXELS, _DEPTH_BYTES = 4 * (3 + 1 + 3 + 1 + 3), 12, 8, 4
 
 
 def choice(
@@ -39,7 +44,8 @@ def choice(
         )
         return jax.block_until_ready(found)
 
-    sample_bytes = _SAMPLE_BYTES + (_DEPTH_BYTES if settings.distance == "surface" else 0)
+    sample_bytes = _SAMPLE_BYTES * (1 if settings.prefilter is None else _TEXELS)
+    sample_bytes += _DEPTH_BYTES if settings.distance == "surface" else 0
     return Choice(
         name=name,
         knobs=dict(knobs),
@@ -51,23 +57,35 @@ def choice(
     )
 
 
-def task(setting: Setting, choices: list[Choice]) -> Task:
+def task(setting: Setting, choices: Sequence[Choice]) -> Task:
     """A group's task on the setting's frame."""
+    height, width = setting.mask.shape
+    return Task(setting.pixels, tuple(choices), f"{setting.frame_name}, {width} x {height}")
+
+
+def varied(
+    setting: Setting, base: Settings, variants: Mapping[str, Mapping[str, Any]], spp: int = SPP
+) -> list[Choice]:
+    """Choices that differ from the base in some fields of its settings, by their names."""
+    needs_pixels(setting)
+    found = []
+    for name, fields in variants.items():
+        settings = base._replace(**fields)
+        is_default = settings == base and spp == SPP
+        found.append(choice(setting, name, {**fields, "spp": spp}, settings, spp, is_default))
+    return found
+
+
+def needs_pixels(setting: Setting) -> None:
+    """Raise where nothing scatters."""
     if setting.pixels == 0:
         raise CannotMeasure("the frame has no pixel with a profile")
-    facts = setting.describe()
-    return Task(setting.pixels, tuple(choices), f"{facts['frame']}, {facts['width']} x {facts['height']}")
 
 
 def needs_normals(setting: Setting) -> None:
     """Raise where the frame has none."""
     if setting.frame.normal is None:
         raise CannotMeasure("the frame has no normals")
-
-
-def base(setting: Setting) -> Settings:
-    """The default settings, as far as the frame has what they need."""
-    return Settings() if setting.frame.normal is not None else Settings(estimator="ratio")
 
 
 def error_of(images: list[np.ndarray], setting: Setting) -> Error:

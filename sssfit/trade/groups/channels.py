@@ -7,22 +7,15 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SPP = 64
-
 
 def _prepare(setting: Setting) -> Task:
-    base = _frames.base(setting)
-    choices = []
-    for name in get_args(points.Channels):
-        settings = base._replace(channels=name)
-        knobs = {"channels": name, "spp": _SPP}
-        choices.append(_frames.choice(setting, name, knobs, settings, _SPP, settings == base))
-    return _frames.task(setting, choices)
+    names = {name: {"channels": name} for name in get_args(points.Channels)}
+    return _frames.task(setting, _frames.varied(setting, setting.settings, names))
 
 
 GROUP = Group(
     name="channels",
-    title=f"The channel that each of {_SPP} radii is drawn for",
+    title=f"The channel that each of {_frames.SPP} radii is drawn for",
     unit="pixel",
     error=_frames.ERROR,
     reference=_frames.REFERENCE,

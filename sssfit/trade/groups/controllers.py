@@ -4,7 +4,6 @@ import functools
 from typing import Any
 
 import jax
-import numpy as np
 
 from sssfit.estimators import policies
 from sssfit.scenarios import circle, driver, light, measure
@@ -56,7 +55,7 @@ def _choice(label: str, knobs: dict, world, seeds: int) -> Choice:
         knobs={"controller": knobs["name"], **given},
         run=run,
         error=lambda: Error(summary().image_rmse, summary().image_rmse_se),
-        samples=float(np.mean(run().count)),
+        samples=lambda: summary().mean_count,
         is_default=label == "as, alpha 0.2, kappa 0.2",
     )
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sssfit.frames import adaptive, render, scatter
+from sssfit.frames.points import Settings
 from sssfit.trade.choice import Choice, Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
@@ -13,15 +14,14 @@ _TARGETS = (1 / 16, 1 / 32, 1 / 64)
 
 
 def _prepare(setting: Setting) -> Task:
-    settings = _frames.base(setting)
+    _frames.needs_pixels(setting)
+    settings = setting.settings
     fixed = (16, 64, 256) if setting.is_quick else (8, 16, 32, 64, 128, 256)
-    choices = [
-        _frames.choice(setting, f"fixed {n}", {"spp": n}, settings, n, is_default=n == 64) for n in fixed
-    ]
+    choices = [c for n in fixed for c in _frames.varied(setting, settings, {f"fixed {n}": {}}, n)]
     return _frames.task(setting, [*choices, *_adaptive(setting, settings)])
 
 
-def _adaptive(setting: Setting, settings) -> list[Choice]:
+def _adaptive(setting: Setting, settings: Settings) -> list[Choice]:
     variance = scatter.variance_of_samples(
         setting.frame, setting.profiles, counts=_PILOT, settings=settings, seed=1
     )

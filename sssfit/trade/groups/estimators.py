@@ -8,25 +8,22 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SPP = 64
-
 
 def _prepare(setting: Setting) -> Task:
     _frames.needs_normals(setting)
-    base = _frames.base(setting)
-    choices = []
     kinds = product(*(get_args(kind) for kind in (points.Estimator, points.Distance, points.Plane)))
-    for estimator, distance, plane in kinds:
-        settings = base._replace(estimator=estimator, distance=distance, plane=plane)
-        knobs = {"estimator": estimator, "distance": distance, "plane": plane, "spp": _SPP}
-        name = f"{estimator}, {distance} distance, {plane} plane"
-        choices.append(_frames.choice(setting, name, knobs, settings, _SPP, settings == base))
-    return _frames.task(setting, choices)
+    names = {
+        f"{estimator}, {distance} distance, {plane} plane": {
+            "estimator": estimator, "distance": distance, "plane": plane,
+        }
+        for estimator, distance, plane in kinds
+    }  # fmt: skip
+    return _frames.task(setting, _frames.varied(setting, setting.settings, names))
 
 
 GROUP = Group(
     name="estimators",
-    title=f"The estimator and its geometry, {_SPP} samples",
+    title=f"The estimator and its geometry, {_frames.SPP} samples",
     unit="pixel",
     error=_frames.ERROR,
     reference=_frames.REFERENCE,

@@ -31,7 +31,6 @@ def _prepare(setting: Setting) -> Task:
 def _choice(name, dtype, compensated, few, exact, frame) -> Choice:
     state = moving.init("emv", frame, dtype=dtype, compensated=compensated, weights_shape=())
     step = jax.jit(lambda state, x: moving.update(state, x, alpha=_ALPHA))
-    state = step(state, frame)
 
     def error() -> Error:
         _, found = moving.scan("emv", few.astype(np.float32), _ALPHA, dtype=dtype, compensated=compensated)

@@ -8,14 +8,10 @@ _SCALES = (None, 1 / 16, 1 / 4, 1.0, 4.0)
 
 
 def _prepare(setting: Setting) -> Task:
-    base = _frames.base(setting)
     choices = []
-    for spp in (16,) if setting.is_quick else (16, 64):
-        for scale in _SCALES:
-            settings = base._replace(prefilter=scale)
-            knobs = {"prefilter": scale, "spp": spp}
-            name = f"{'none' if scale is None else f'a = {scale:g}'}, {spp} spp"
-            choices.append(_frames.choice(setting, name, knobs, settings, spp, scale is None and spp == 64))
+    for spp in (_frames.SPP,) if setting.is_quick else (16, _frames.SPP):
+        names = {f"{'none' if a is None else f'a = {a:g}'}, {spp} spp": {"prefilter": a} for a in _SCALES}
+        choices += _frames.varied(setting, setting.settings, names, spp)
     return _frames.task(setting, choices)
 
 

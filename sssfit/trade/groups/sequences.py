@@ -1,5 +1,6 @@
 """How the points of a pixel are spread."""
 
+from itertools import product
 from typing import get_args
 
 from sssfit.frames import points
@@ -7,28 +8,20 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SPP = 64
-
 
 def _prepare(setting: Setting) -> Task:
-    base = _frames.base(setting)
-    choices = []
-    for shared in get_args(points.Points):
-        for sequence in get_args(points.Sequence):
-            if setting.is_quick and shared == "fresh" and sequence not in ("r2", "iid"):
-                continue
-            settings = base._replace(points=shared, sequence=sequence)
-            knobs = {"points": shared, "sequence": sequence, "spp": _SPP}
-            is_default = settings == base
-            choices.append(
-                _frames.choice(setting, f"{sequence}, {shared}", knobs, settings, _SPP, is_default)
-            )
-    return _frames.task(setting, choices)
+    kinds = product(get_args(points.Points), get_args(points.Sequence))
+    names = {
+        f"{sequence}, {shared}": {"points": shared, "sequence": sequence}
+        for shared, sequence in kinds
+        if not setting.is_quick or shared == "table" or sequence in ("r2", "iid")
+    }
+    return _frames.task(setting, _frames.varied(setting, setting.settings, names))
 
 
 GROUP = Group(
     name="sequences",
-    title=f"Spread of {_SPP} points, from a table that pixels share or each pixel's own",
+    title=f"Spread of {_frames.SPP} points, from a table that pixels share or each pixel's own",
     unit="pixel",
     error=_frames.ERROR,
     reference=_frames.REFERENCE,

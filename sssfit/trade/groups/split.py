@@ -4,25 +4,18 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SPP = 64
 _SHARES = (None, 0.0, 0.05, 0.2)
 
 
 def _prepare(setting: Setting) -> Task:
-    base = _frames.base(setting)._replace(points="fresh")
-    choices = []
-    for share in _SHARES:
-        settings = base._replace(split=share)
-        name = "all is sampled" if share is None else f"least share {share:g}"
-        choices.append(
-            _frames.choice(setting, name, {"split": share, "spp": _SPP}, settings, _SPP, share is None)
-        )
-    return _frames.task(setting, choices)
+    base = setting.settings._replace(points="fresh")
+    names = {"all is sampled" if e is None else f"least share {e:g}": {"split": e} for e in _SHARES}
+    return _frames.task(setting, _frames.varied(setting, base, names))
 
 
 GROUP = Group(
     name="split",
-    title=f"Direct and distant scattering apart, by the least distant share; {_SPP} fresh samples",
+    title=f"Direct and distant scattering apart, by the least distant share; {_frames.SPP} fresh samples",
     unit="pixel",
     error=_frames.ERROR,
     reference=_frames.REFERENCE,
