@@ -47,7 +47,7 @@ class Prepared(NamedTuple):
 def mean(seen: Seen, counts: Array, d: Array, random: Random, settings: Settings, rows: int) -> Array:
     """The scattered frame, (H, W, C); what is not sampled keeps its irradiance."""
     parts, counts, places = _every_block(_block.mean_of_samples, seen, counts, d, random, settings, rows)
-    return _image(parts, counts, places, seen, d, settings)
+    return _image(parts, counts, places, seen, d, settings.once_drawn())
 
 
 def moments(
@@ -59,18 +59,19 @@ def moments(
     """
     dark = seen._replace(irradiance=jnp.where(d != 0, seen.irradiance, 0))
     parts, counts, places = _every_block(_block.moments_of_samples, dark, counts, d, random, settings, rows)
-    return _image_and_variance(parts, counts, places, seen, d, settings)
+    return _image_and_variance(parts, counts, places, seen, d, settings.once_drawn())
 
 
 def _every_block(program, seen, counts, d, random, settings, rows):
     """Each lane's results; the counts of the pixels that are sampled, and where the results lie."""
     number, traced = _lanes.number(), _lanes.is_traced((seen, counts, d, random))
-    wanted = None if traced else jax.eval_shape(_scene, seen, settings).layers
+    drawn = settings.once_drawn()
+    wanted = None if traced else jax.eval_shape(_scene, None, seen, drawn).layers
     spare = None if traced else _spare.take("scene", wanted, (seen, counts, d))
     prepared = prepare(spare, seen, counts, d, random, settings, rows, number)
 
     def lane(first, compiled):
-        return compiled(program, prepared, first, seen, d, random, settings, number)
+        return compiled(program, prepared, first, seen, d, random, drawn, number)
 
     if number == 1 or traced:
         parts = [lane(first, _lane_within) for first in range(number)]
@@ -81,20 +82,30 @@ def _every_block(program, seen, counts, d, random, settings, rows):
     return parts, prepared.counts, prepared.places
 
 
-@functools.partial(
-    jax.jit, static_argnames=("settings", "rows", "lanes"), donate_argnames="spare", keep_unused=True
-)
 def prepare(spare, seen, counts, d, random, settings, rows, lanes):
-    """`spare` is memory for the scene, or None."""
-    d = positive(d)
+    """`spare` is memory for the scene, or None. Programs apart: few settings matter to more than one."""
+    table = _table(d, random, settings, rows) if settings.points == "table" else None
+    split_settings = None if settings.split is None else settings
+    return Prepared(
+        _scene(spare, seen, settings.once_drawn()), table, *_ordered(seen, counts, d, split_settings, lanes)
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("settings", "rows"))
+def _table(d, random, settings, rows):
+    of_all = {"count": random.most, "seed": random.seed, "frame": random.frame}
+    return points.table(rows, positive(d), settings, **of_all)
+
+
+@functools.partial(jax.jit, static_argnames=("settings", "lanes"))
+def _ordered(seen, counts, d, settings, lanes):
+    """Counts of the pixels that are sampled, and the order of their segments; settings for a split."""
     counts = jnp.where(seen.mask, counts, 0)
-    if settings.split is not None:
-        share = split.distant_share(jnp.where(seen.mask, seen.depth, 1), seen.camera, d, settings)
+    if settings is not None:
+        depth = jnp.where(seen.mask, seen.depth, 1)
+        share = split.distant_share(depth, seen.camera, positive(d), settings)
         counts = jnp.where(share >= settings.split, counts, 0)
-    table = None
-    if settings.points == "table":
-        table = points.table(rows, d, settings, count=random.most, seed=random.seed, frame=random.frame)
-    return Prepared(_scene(seen, settings), table, counts, *_order.of_segments(counts, lanes))
+    return counts, *_order.of_segments(counts, lanes)
 
 
 def _lane(program, prepared, first, seen, d, random, settings, lanes):
@@ -172,9 +183,9 @@ def positive(d):
     return jnp.where(d != 0, d, 1)
 
 
-@functools.partial(jax.jit, static_argnames="settings")
-def _scene(seen: Seen, settings: Settings) -> _block.Scene:
-    """What a sample finds in a pixel."""
+@functools.partial(jax.jit, static_argnames="settings", donate_argnames="spare", keep_unused=True)
+def _scene(spare: Array | None, seen: Seen, settings: Settings) -> _block.Scene:
+    """What a sample finds in a pixel; `spare` is memory for its layers."""
     irradiance, depth, normal, mask, camera = seen
     surfaces: list[Array] = []
     if settings.distance == "surface":

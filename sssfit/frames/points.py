@@ -98,6 +98,13 @@ class Settings(NamedTuple):
         if self.prefilter is not None and not self.prefilter > 0:
             raise ValueError(f"prefilter must be above 0 or None, got {self.prefilter}")
 
+    def once_drawn(self) -> "Settings":
+        """The same but for what no longer matters when a table is there: equal ones share their programs."""
+        if self.points == "fresh":
+            return self
+        how = ("importance", "corrected", "channels", "sequence")
+        return self._replace(**{name: self._field_defaults[name] for name in how})
+
 
 class Aim(NamedTuple):
     """Where samples lie around a pixel, arrays of any one shape.
@@ -381,7 +388,8 @@ def _last_variate(importance: str, cutoff: float | None) -> float:
     # The mixture of exponentials has no order; what it draws beyond the cut-off is given no weight.
     if cutoff is None or importance == "mixture":
         return 1.0
-    radius = inverse_cdf.METHODS[importance].radius
+    # One program in place of one for each operation.
+    radius = jax.jit(inverse_cdf.METHODS[importance].radius)
     low, high = 0.0, 1.0
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
         for _ in range(60):

@@ -163,7 +163,8 @@ def test_the_light_around_is_the_mean_of_one_profile():
 
 
 def test_nothing_is_compiled_anew():
-    programs: tuple[Any, ...] = (_pass.prepare, _pass._lane_alone, _pass._lane_within)
+    programs: tuple[Any, ...] = (_pass._table, _pass._scene, _pass._ordered)
+    programs += (_pass._lane_alone, _pass._lane_within)
     programs += (_pass._image, _pass._image_and_variance, _history._missing, sequence._counts)
     programs += (_guidance.light_on, _guidance.measured, _learning._strips, _footprint._looked_up)
     for name in ("as", "ocv", "in_frame", "fixed"):
