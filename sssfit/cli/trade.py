@@ -28,7 +28,9 @@ def add_command(commands) -> None:
     )
     command.add_argument("--out", required=True, metavar="DIR", help="output directory, made if missing")
     command.add_argument("--quick", action="store_true", help="fewer choices, smaller arrays, fewer rounds")
-    command.add_argument("--only", nargs="+", metavar="GROUP", help="these groups alone (default: all)")
+    command.add_argument(
+        "--only", nargs="+", metavar="GROUP", help="these groups or studies alone (default: all)"
+    )
     command.add_argument("--rounds", type=int, metavar="N", help=f"default: {_ROUNDS}, quick {_QUICK_ROUNDS}")
     command.add_argument("--frame", metavar="FRAME.exr", help="to be scattered (default: a procedural one)")
     command.add_argument("--camera", metavar="FILE", help="camera.json of the frame")
@@ -47,20 +49,26 @@ def run(options: argparse.Namespace) -> int:
     with interrupt_deferred():
         from sssfit.cli import render_options
         from sssfit.trade import registry, writing
-    groups = registry.chosen(options.only)
+    groups, studies = registry.chosen(options.only)
     rounds = options.rounds or (_QUICK_ROUNDS if options.quick else _ROUNDS)
     if options.rounds is not None and options.rounds < 3:
         raise ValueError(f"--rounds must be at least 3, got {options.rounds}")
     setting = _setting(options)
     ledger = writing.Ledger(Path(options.out), writing.conditions(setting, rounds), options.resume)
-    found = []
-    with _progress(options, len(groups)) as (tell, advance):
+    found, studied = [], []
+    with _progress(options, len(groups) + len(studies)) as (tell, advance):
         for group in groups:
             found.append(ledger.measured(group, setting, rounds, tell))
             advance()
-    writing.write(options.out, found, ledger.conditions, render_options.asked(options))
+        for study in studies:
+            studied.append(ledger.studied(study, setting, rounds, tell))
+            advance()
+    writing.write(options.out, found, studied, ledger.conditions, render_options.asked(options))
     for each in found:
         print(_sentence(each))
+    for each in studied:
+        for sentence in each.finding.sentences if each.finding else [f"not measured, {each.skipped}"]:
+            print(f"{each.study.name}: {sentence}")
     print(f"see {Path(options.out) / 'report.html'}")
     return 0
 

@@ -1,12 +1,16 @@
 """Choices measured side by side: errors once, times in turns, so that a busy machine slows all alike."""
 
 import gc
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 
 from sssfit.trade import machine, timing
 from sssfit.trade.choice import Choice, Error, Group, Task
@@ -14,8 +18,26 @@ from sssfit.trade.setting import Setting
 
 #: Called with a sentence on what is being done, before it is done.
 Tell = Callable[[str], None]
+# Numbers that the pace is taken with, and what it is called among a group's choices.
+_PACE_NUMBERS, _PACE = 2**20, "pace of the machine"
 # Of the difference of two medians that a machine shows for the same program, whatever the rounds say.
 _LEAST_NOISE = 0.02
+# Seconds before each timed run of a first look.
+_QUICK_PAUSE = 0.02
+
+
+class Found(NamedTuple):
+    """What was measured of a group.
+
+    Attributes:
+        note: on what, see `Task`.
+        rows: one for each choice, in their order.
+        pace: median seconds of a program that is the same in every group and every run.
+    """
+
+    note: str
+    rows: list["Row"]
+    pace: float
 
 
 @dataclass(frozen=True)
@@ -29,11 +51,13 @@ class Row:
         error: in the group's unit.
         error_noise: standard error of that.
         nanoseconds: median time of a unit of work.
-        time_noise: half the width of a 95 % interval of that, as a share of it.
+        time_noise: half the width of a 95 % interval of that, as a share of it; of this run, in which all
+            choices of a group took turns.
         samples: drawn for a unit of work.
         bytes_moved: read and written at least for a unit of work.
         peak_bytes: memory that a run takes beyond what was there, or NaN where the system does not tell.
-        compile_seconds: of the first run more than of a later one; what was compiled before is not again.
+        compile_seconds: of the first run more than of a later one, with what no choice before it in its group
+            has compiled; NaN for a first look, in which groups share what is compiled.
     """
 
     group: str
@@ -50,7 +74,7 @@ class Row:
     compile_seconds: float
 
 
-def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: None) -> tuple[str, list[Row]]:
+def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: None) -> Found:
     """Measure all choices of a group.
 
     Args:
@@ -60,7 +84,7 @@ def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: No
         tell: is told what is done.
 
     Returns:
-        The task's note, and a row for each choice, in their order.
+        See `Found`.
 
     Raises:
         CannotMeasure: the setting lacks what the group needs.
@@ -71,7 +95,7 @@ def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: No
         >>> from sssfit.trade.choice import Choice, Error, Group, Task
         >>> one = Choice("sum", {}, run=lambda: sum(range(1000)), error=lambda: Error(0.0))
         >>> sums = Group("sums", "", "number", "", "", lambda setting: Task(1000, (one,)))
-        >>> group(sums, setting.procedural_setting(True), rounds=3)[1][0].error
+        >>> group(sums, setting.procedural_setting(True), rounds=3).rows[0].error
         0.0
     """
     if rounds < 3:
@@ -86,11 +110,38 @@ def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: No
         peaks.append(peak)
         errors.append(error)
     tell(f"{of.name}: times, {rounds} rounds")
-    times = timing.measure({choice.name: choice.run for choice in task.choices}, rounds)
-    return task.note, [
-        _row(of, task, choice, times[choice.name], first, peak, error)
+    programs = {choice.name: choice.run for choice in task.choices} | {_PACE: _same_everywhere()}
+    times = timing.measure(programs, rounds, pause=_QUICK_PAUSE if setting.is_quick else timing.PAUSE)
+    rows = [
+        _row(of, task, choice, times[choice.name], math.nan if setting.is_quick else first, peak, error)
         for choice, first, peak, error in zip(task.choices, firsts, peaks, errors, strict=True)
     ]
+    return Found(task.note, rows, float(np.median(times[_PACE])))
+
+
+def pace_noise(paces: Sequence[float]) -> float:
+    """How much a machine's pace changes from one group to another, and so from one run to the next.
+
+    Args:
+        paces: of the groups of a run, seconds.
+
+    Returns:
+        Half the width of a 95 % interval of one pace, as a share of it; NaN for fewer than two.
+
+    Example:
+        >>> pace_noise([1.0, 1.0, 1.0])
+        0.0
+    """
+    if len(paces) < 2:
+        return math.nan
+    return float(stats.t.ppf(0.975, len(paces) - 1) * np.std(np.log(paces), ddof=1))
+
+
+def _same_everywhere() -> Callable[[], Any]:
+    """A program whose time tells the machine's pace."""
+    numbers = jax.device_put(np.linspace(0.1, 1.0, _PACE_NUMBERS, dtype=np.float32))
+    program = jax.jit(lambda x: jnp.exp(-x) * jnp.sin(40 * x))
+    return lambda: jax.block_until_ready(program(numbers))
 
 
 def _once(choice: Choice) -> tuple[float, float, Error]:
@@ -116,5 +167,6 @@ def _row(of: Group, task: Task, choice: Choice, times: np.ndarray, first: float,
         samples=float(choice.samples() if callable(choice.samples) else choice.samples),
         bytes_moved=choice.bytes_moved,
         peak_bytes=peak,
-        compile_seconds=max(first - median, 0.0),
+        # As it stands: NaN where the first run is not known.
+        compile_seconds=max(first - median, 0.0) if first == first else math.nan,
     )

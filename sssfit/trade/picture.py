@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -46,9 +47,7 @@ def front(of: Group, rows: Sequence[Row], note: str = "") -> bytes:
         axes.set_title(note, fontsize=9, color="0.35")
     _list(names, ordered, rows, of)
     _place_numbers(figure, axes)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return as_png(figure)
 
 
 def _mark(axes, of: Group, row: Row, is_best: bool, number: int) -> None:
@@ -80,6 +79,41 @@ def _frame(axes, of: Group, rows: Sequence[Row]) -> None:
     best = sorted((cost(row, of), _shown(row.error)) for row in rows if not beaten_by(row, rows, of))
     x, y = np.array(best).T
     axes.step(x, np.minimum.accumulate(y), where="post", color=_FRONT, linewidth=1, alpha=0.6, zorder=1)
+
+
+def plain_ticks(axis: Any) -> None:
+    """Write a logarithmic axis' numbers out, at 1, 2 and 5.
+
+    Args:
+        axis: of matplotlib.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> axes = Figure().subplots()
+        >>> axes.set_xscale("log")
+        >>> plain_ticks(axes.xaxis)
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def as_png(figure: Any) -> bytes:
+    """A drawn figure as a PNG file.
+
+    Args:
+        figure: of matplotlib.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> as_png(Figure())[1:4]
+        b'PNG'
+    """
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
 
 
 def _list(axes, ordered: Sequence[Row], rows: Sequence[Row], of: Group) -> None:

@@ -1,4 +1,4 @@
-"""The groups of approximations, in the order in which they are measured."""
+"""The groups of approximations and the studies, in the order in which they are measured."""
 
 from collections.abc import Sequence
 
@@ -18,6 +18,8 @@ from sssfit.trade.groups import (
     sequences,
     split,
 )
+from sssfit.trade.studies import cost, needs
+from sssfit.trade.study import Study
 
 #: By name.
 GROUPS: dict[str, Group] = {
@@ -40,20 +42,27 @@ GROUPS: dict[str, Group] = {
 }
 
 
-def chosen(names: Sequence[str] | None) -> list[Group]:
-    """Groups by their names, in the order in which they are measured.
+#: By name; measured after the groups.
+STUDIES: dict[str, Study] = {module.STUDY.name: module.STUDY for module in (cost, needs)}
+
+
+def chosen(names: Sequence[str] | None) -> tuple[list[Group], list[Study]]:
+    """Groups and studies by their names, in the order in which they are measured.
 
     Args:
-        names: of groups; None for all.
+        names: of groups and studies; None for all.
 
     Raises:
         ValueError: a name is unknown.
 
     Example:
-        >>> [group.name for group in chosen(["split", "precision"])]
-        ['precision', 'split']
+        >>> groups, studies = chosen(["split", "cost_model", "precision"])
+        >>> [each.name for each in (*groups, *studies)]
+        ['precision', 'split', 'cost_model']
     """
-    unknown = [name for name in names or () if name not in GROUPS]
+    known = (*GROUPS, *STUDIES)
+    unknown = [name for name in names or () if name not in known]
     if unknown:
-        raise ValueError(f"--only must name groups among {', '.join(GROUPS)}, got {unknown[0]!r}")
-    return [group for name, group in GROUPS.items() if names is None or name in names]
+        raise ValueError(f"--only must name groups among {', '.join(known)}, got {unknown[0]!r}")
+    groups = [group for name, group in GROUPS.items() if names is None or name in names]
+    return groups, [study for name, study in STUDIES.items() if names is None or name in names]

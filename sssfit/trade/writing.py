@@ -1,5 +1,6 @@
 """What `sssfit trade` writes: each group's measurements as they come, and the report at the end."""
 
+import dataclasses
 import math
 import os
 from collections.abc import Sequence
@@ -12,12 +13,13 @@ from sssfit.files import atomic
 from sssfit.files.errors import FileError
 from sssfit.files.json_text import json_text, read_json
 from sssfit.files.output import output_directory, versions
-from sssfit.trade import machine, measure, picture, report
+from sssfit.trade import machine, measure, page, picture, report
 from sssfit.trade.choice import CannotMeasure, Group
 from sssfit.trade.measure import Row, Tell
-from sssfit.trade.registry import GROUPS
-from sssfit.trade.report import Measured
+from sssfit.trade.registry import GROUPS, STUDIES
+from sssfit.trade.report import Measured, Studied
 from sssfit.trade.setting import Setting
+from sssfit.trade.study import Finding, Study
 
 _FOLDER = "measured"
 
@@ -63,7 +65,7 @@ class Ledger:
         self._folder = out / _FOLDER
         atomic.make_directory(self._folder)
         # Else a run that is interrupted and gone on with would take up what an earlier one has left.
-        for name in () if resume else GROUPS:
+        for name in () if resume else (*GROUPS, *STUDIES):
             (self._folder / f"{name}.json").unlink(missing_ok=True)
 
     def measured(self, group: Group, setting: Setting, rounds: int, tell: Tell) -> Measured:
@@ -75,28 +77,54 @@ class Ledger:
         path = self._folder / f"{group.name}.json"
         if path.exists():
             return self._read(path, group)
-        # Else a group would not compile what one before it has.
-        jax.clear_caches()
+        if not setting.is_quick:
+            # Else a group would not compile what one before it has.
+            jax.clear_caches()
         try:
-            note, made = measure.group(group, setting, rounds, tell)
-            found = Measured(group, tuple(made), note=note)
+            made = measure.group(group, setting, rounds, tell)
+            found = Measured(group, tuple(made.rows), note=made.note, pace=made.pace)
         except CannotMeasure as reason:
             found = Measured(group, (), str(reason))
         rows = [report.known(row) for row in found.rows]
-        text = json_text(
-            {"conditions": self.conditions, "skipped": found.skipped, "note": found.note, "rows": rows}
-        )
-        atomic.write_bytes(path, text.encode())
+        pace = None if math.isnan(found.pace) else found.pace
+        self._keep(path, {"skipped": found.skipped, "note": found.note, "pace": pace, "rows": rows})
         return found
 
+    def studied(self, study: Study, setting: Setting, rounds: int, tell: Tell) -> Studied:
+        """A study, from its file or measured now and kept.
+
+        Raises:
+            FileError: as `measured`.
+        """
+        path = self._folder / f"{study.name}.json"
+        if path.exists():
+            content = self._content(path)
+            kept = content["finding"]
+            finding = kept and Finding(tuple(kept["sentences"]), tuple(kept["rows"]), kept["facts"])
+            return Studied(study, finding, content["skipped"])
+        try:
+            found = Studied(study, study.measure(setting, rounds, tell))
+        except CannotMeasure as reason:
+            found = Studied(study, None, str(reason))
+        finding = found.finding and dataclasses.asdict(found.finding)
+        self._keep(path, {"skipped": found.skipped, "finding": finding})
+        return found
+
+    def _keep(self, path: Path, content: dict[str, Any]) -> None:
+        atomic.write_bytes(path, json_text({"conditions": self.conditions} | content).encode())
+
     def _read(self, path: Path, group: Group) -> Measured:
+        content = self._content(path)
+        rows = tuple(Row(**_numbers(row)) for row in content["rows"])
+        pace = math.nan if content["pace"] is None else content["pace"]
+        return Measured(group, rows, content["skipped"], content["note"], pace)
+
+    def _content(self, path: Path) -> dict[str, Any]:
         content = read_json(path)
         if content.get("conditions") != self.conditions:
             remedy = "use another --out, or leave --resume out"
             raise FileError(path, "", "was measured under other conditions", remedy)
-        return Measured(
-            group, tuple(Row(**_numbers(row)) for row in content["rows"]), content["skipped"], content["note"]
-        )
+        return content
 
 
 def _numbers(row: dict[str, Any]) -> dict[str, Any]:
@@ -104,12 +132,19 @@ def _numbers(row: dict[str, Any]) -> dict[str, Any]:
     return {name: math.nan if value is None else value for name, value in row.items()}
 
 
-def write(out: str, found: Sequence[Measured], conditions: dict[str, Any], asked: dict[str, Any]) -> None:
+def write(
+    out: str,
+    found: Sequence[Measured],
+    studied: Sequence[Studied],
+    conditions: dict[str, Any],
+    asked: dict[str, Any],
+) -> None:
     """Write the report of a run into a directory, all of it or nothing.
 
     Args:
         out: the directory.
         found: its groups.
+        studied: its studies.
         conditions: as `conditions` gives them.
         asked: the options, for the manifest.
 
@@ -119,16 +154,20 @@ def write(out: str, found: Sequence[Measured], conditions: dict[str, Any], asked
     Example:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     write(folder, [], {}, {})
+        ...     write(folder, [], [], {}, {})
         ...     sorted(path.name for path in Path(folder).iterdir())
         ['manifest.json', 'report.html', 'trade.csv', 'trade.json']
     """
     pictures = {
         each.group.name: picture.front(each.group, each.rows, each.note) for each in found if not each.skipped
     }
+    findings = {each.study: each.finding for each in studied if each.finding is not None}
+    pictures |= {study.name: study.picture(finding) for study, finding in findings.items()}
     with output_directory(out, {"command": "trade", "options": asked}) as output:
         for name, content in pictures.items():
             output.put(f"{name}.png", content)
         output.put("trade.csv", report.as_csv(found))
-        output.put("trade.json", json_text(report.as_json(found, conditions)).encode())
-        output.put("report.html", report.as_html(found, pictures, conditions))
+        for study, finding in findings.items():
+            output.put(f"{study.name}.csv", report.rows_as_csv(finding.rows))
+        output.put("trade.json", json_text(report.as_json(found, studied, conditions)).encode())
+        output.put("report.html", page.as_html(found, studied, pictures, conditions))

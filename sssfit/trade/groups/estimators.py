@@ -11,7 +11,12 @@ from sssfit.trade.setting import Setting
 
 def _prepare(setting: Setting) -> Task:
     _frames.needs_normals(setting)
-    kinds = product(*(get_args(kind) for kind in (points.Estimator, points.Distance, points.Plane)))
+    # Of the planes a first look has the tangent one for what is right on it alone.
+    kinds = (
+        kind
+        for kind in product(*(get_args(kind) for kind in (points.Estimator, points.Distance, points.Plane)))
+        if not setting.is_quick or kind[2] == "screen" or kind[:2] == ("unbiased", "plane")
+    )
     names = {
         f"{estimator}, {distance} distance, {plane} plane": {
             "estimator": estimator, "distance": distance, "plane": plane,

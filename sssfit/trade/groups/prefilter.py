@@ -4,13 +4,13 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SCALES = (None, 1 / 16, 1 / 4, 1.0, 4.0)
+_SCALES, _QUICK_SCALES = (None, 1 / 16, 1 / 4, 1.0, 4.0), (None, 1 / 16, 1.0)
 
 
 def _prepare(setting: Setting) -> Task:
-    choices = []
+    choices, scales = [], _QUICK_SCALES if setting.is_quick else _SCALES
     for spp in (_frames.SPP,) if setting.is_quick else (16, _frames.SPP):
-        names = {f"{'none' if a is None else f'a = {a:g}'}, {spp} spp": {"prefilter": a} for a in _SCALES}
+        names = {f"{'none' if a is None else f'a = {a:g}'}, {spp} spp": {"prefilter": a} for a in scales}
         choices += _frames.varied(setting, setting.settings, names, spp)
     return _frames.task(setting, choices)
 

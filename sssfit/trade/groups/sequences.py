@@ -14,7 +14,7 @@ def _prepare(setting: Setting) -> Task:
     names = {
         f"{sequence}, {shared}": {"points": shared, "sequence": sequence}
         for shared, sequence in kinds
-        if not setting.is_quick or shared == "table" or sequence in ("r2", "iid")
+        if not setting.is_quick or shared == "table" or sequence == "r2"
     }
     return _frames.task(setting, _frames.varied(setting, setting.settings, names))
 

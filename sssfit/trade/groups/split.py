@@ -4,12 +4,13 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SHARES = (None, 0.0, 0.05, 0.2)
+_SHARES, _QUICK_SHARES = (None, 0.0, 0.05, 0.2), (None, 0.05)
 
 
 def _prepare(setting: Setting) -> Task:
+    shares = _QUICK_SHARES if setting.is_quick else _SHARES
     base = setting.settings._replace(points="fresh")
-    names = {"all is sampled" if e is None else f"least share {e:g}": {"split": e} for e in _SHARES}
+    names = {"all is sampled" if e is None else f"least share {e:g}": {"split": e} for e in shares}
     return _frames.task(setting, _frames.varied(setting, base, names))
 
 
