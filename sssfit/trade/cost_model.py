@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from sssfit.fitting import non_negative
 from sssfit.trade.demands import Demand
 

@@ -4,17 +4,23 @@ from collections.abc import Sequence
 
 from sssfit.trade.choice import Group
 from sssfit.trade.groups import (
+    accumulation,
     channels,
     controllers,
     convolution,
     counts,
     estimators,
+    falloff_tables,
     histories,
     importance,
     inverse_cdfs,
+    lookup_tables,
     precision,
     prefilter,
     radius_tables,
+    recursions,
+    reprojection,
+    separable,
     sequences,
     split,
 )
@@ -23,21 +29,27 @@ from sssfit.trade.study import Study
 
 #: By name.
 GROUPS: dict[str, Group] = {
-    module.GROUP.name: module.GROUP
-    for module in (
-        inverse_cdfs,
-        radius_tables,
-        precision,
-        histories,
-        controllers,
-        counts,
-        sequences,
-        importance,
-        channels,
-        estimators,
-        prefilter,
-        split,
-        convolution,
+    group.name: group
+    for group in (
+        inverse_cdfs.GROUP,
+        radius_tables.GROUP,
+        *lookup_tables.GROUPS,
+        falloff_tables.GROUP,
+        precision.GROUP,
+        histories.GROUP,
+        recursions.GROUP,
+        controllers.GROUP,
+        counts.GROUP,
+        sequences.GROUP,
+        importance.GROUP,
+        channels.GROUP,
+        estimators.GROUP,
+        prefilter.GROUP,
+        split.GROUP,
+        convolution.GROUP,
+        separable.GROUP,
+        reprojection.GROUP,
+        accumulation.GROUP,
     )
 }
 

@@ -54,7 +54,8 @@ def as_csv(found: Sequence[Measured]) -> bytes:
         found: the groups.
 
     Returns:
-        UTF-8 text with a header; what is not known is empty.
+        UTF-8 text with a header; what is not known is empty. The last column is the noise of a time beside
+        that of another run, in which the machine has another pace.
 
     Example:
         >>> as_csv([]).split(b",")[:2]
@@ -63,12 +64,13 @@ def as_csv(found: Sequence[Measured]) -> bytes:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = [field.name for field in dataclasses.fields(Row) if field.name != "knobs"]
-    writer.writerow([*names, "beaten_by"])
+    pace = pace_noise(paces(found))
+    writer.writerow([*names, "beaten_by", "time_noise_between_runs"])
     for each in found:
         for row in each.rows:
             values = [getattr(row, name) for name in names]
-            beaten = beaten_by(row, each.rows, each.group)
-            writer.writerow(["" if is_unknown(value) else value for value in values] + [beaten])
+            values += [beaten_by(row, each.rows, each.group), math.hypot(row.time_noise, pace)]
+            writer.writerow(["" if is_unknown(value) else value for value in values])
     return stream.getvalue().encode()
 
 

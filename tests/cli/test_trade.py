@@ -7,6 +7,7 @@ import shutil
 import pytest
 
 from sssfit.cli.main import main
+from sssfit.frames import gbuffer
 from sssfit.trade import measure
 
 SMALL = ["trade", "--rounds", "3", "--only", "precision"]
@@ -69,6 +70,23 @@ def test_an_interruption_loses_nothing(run, tmp_path, capsys, monkeypatch):
     assert main([*SMALL, "histories", "--quick", "--out", str(out), "--resume"]) == 2
     assert "interrupted" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_what_a_frame_lacks_is_said_in_the_report(tmp_path, capsys):
+    frame, camera = tmp_path / "frame.exr", tmp_path / "camera.json"
+    assert (
+        main(["procedural-frame", "--frames", "1", "--width", "32", "--height", "18", "--out", str(tmp_path)])
+        == 0
+    )
+    scene = gbuffer.load(tmp_path / "frame_00.exr", camera)
+    gbuffer.write(frame, scene._replace(normal=None))
+    capsys.readouterr()
+    out = tmp_path / "out"
+    given = ["--frame", str(frame), "--camera", str(camera), "--profile", "skin1"]
+    assert main(["trade", "--quick", "--only", "estimators", *given, "--out", str(out)]) == 0
+    assert "estimators: not measured, the frame has no normals" in capsys.readouterr().out
+    assert "Not measured: the frame has no normals." in (out / "report.html").read_text()
+    assert not (out / "estimators.png").exists()
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_bytes_from_beyond_caches_are_those_of_each_line_once(monkeypatch):
     # So narrow that each sample hits its own pixel: all is read once, for as many samples as are replayed.
     found = demands.fetched(flat(), 1, [1e-9] * 3)
     each = demands.TEXEL_BYTES / demands.REPLAYED
-    assert found == Fetched(pytest.approx(each), pytest.approx(each))
+    assert tuple(found) == pytest.approx((each, each))
     assert demands.fetched(flat(), 7, [1e-9] * 3) == Fetched(0.0, 0.0)
 
 

@@ -71,10 +71,14 @@ GROUP = Group(
     cost="samples",
     stands_for=(
         "estimators.policies.named",
-        "estimators.sample_count.next_count",
-        "estimators.sample_count.update",
-        "estimators.in_frame.next_count",
-        "estimators.in_frame.update",
-        "estimators.control_variate.step",
+        *(
+            f"estimators.sample_count.{name}"
+            for name in ("init", "estimate", "basic_estimate", "round_count", "next_count", "update")
+        ),
+        *(
+            f"estimators.in_frame.{name}"
+            for name in ("init", "sample_variance", "safety", "sequence_gain", "next_count", "update")
+        ),
+        *(f"estimators.control_variate.{name}" for name in ("init", "upper_bound", "residual", "step")),
     ),
 )

@@ -44,5 +44,12 @@ GROUP = Group(
     error=_frames.ERROR,
     reference=_frames.REFERENCE,
     prepare=_prepare,
-    stands_for=("frames.scatter.every_profile", "frames.adaptive.counts", "frames.adaptive.smoothed"),
+    stands_for=(
+        "frames.scatter.scatter",
+        "frames.scatter.every_profile",
+        "frames.scatter.image_and_variance",
+        "frames.scatter.variance_of_samples",
+        "frames.adaptive.counts",
+        "frames.adaptive.smoothed",
+    ),
 )

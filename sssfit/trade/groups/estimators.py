@@ -8,29 +8,34 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
+_FIELDS = ("estimator", "distance", "plane")
+# Which of these two is better depends on how many samples there are.
+_ALSO_MANY, _MANY = (("unbiased", "surface", "screen"), ("ratio", "surface", "screen")), 512
+
 
 def _prepare(setting: Setting) -> Task:
     _frames.needs_normals(setting)
-    # Of the planes a first look has the tangent one for what is right on it alone.
-    kinds = (
-        kind
-        for kind in product(*(get_args(kind) for kind in (points.Estimator, points.Distance, points.Plane)))
-        if not setting.is_quick or kind[2] == "screen" or kind[:2] == ("unbiased", "plane")
-    )
-    names = {
-        f"{estimator}, {distance} distance, {plane} plane": {
-            "estimator": estimator, "distance": distance, "plane": plane,
-        }
-        for estimator, distance, plane in kinds
-    }  # fmt: skip
-    return _frames.task(setting, _frames.varied(setting, setting.settings, names))
+    kinds = list(product(*(get_args(kind) for kind in (points.Estimator, points.Distance, points.Plane))))
+    if setting.is_quick:
+        kinds = [kind for kind in kinds if kind[2] == "screen" or kind[:2] == ("unbiased", "plane")]
+    few = {_name(kind): dict(zip(_FIELDS, kind, strict=True)) for kind in kinds}
+    many = {f"{_name(kind)}, {_MANY} samples": few[_name(kind)] for kind in _ALSO_MANY}
+    choices = _frames.varied(setting, setting.settings, few)
+    return _frames.task(setting, [*choices, *_frames.varied(setting, setting.settings, many, _MANY)])
+
+
+def _name(kind: tuple[str, ...]) -> str:
+    return "{}, {} distance, {} plane".format(*kind)
 
 
 GROUP = Group(
     name="estimators",
-    title=f"The estimator and its geometry, {_frames.SPP} samples",
+    title=f"The estimator and its geometry, {_frames.SPP} samples where no number is given",
     unit="pixel",
     error=_frames.ERROR,
     reference=_frames.REFERENCE,
     prepare=_prepare,
+    beside_the_front="The default loses to the ratio at few samples, for dividing by the weights takes some "
+    "of the noise away. But the ratio's error stays where its bias is, however many samples there are, and "
+    "that of the default falls on.",
 )

@@ -26,7 +26,10 @@ GROUP = Group(
     error=_frames.ERROR,
     reference=_frames.REFERENCE,
     prepare=_prepare,
-    stands_for=tuple(
-        f"sampling.sequences.{name}" for name in ("r2", "sobol", "hammersley", "fibonacci", "hashed")
+    beside_the_front="Hammersley's and Fibonacci's points are even only all together: they lose where pixels "
+    "have different counts, which the default has to serve.",
+    stands_for=(
+        *(f"sampling.sequences.{name}" for name in ("r2", "sobol", "hammersley", "fibonacci", "hashed")),
+        *(f"frames.points.{name}" for name in ("table", "aimed", "weighed", "density")),
     ),
 )

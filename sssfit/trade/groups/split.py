@@ -22,6 +22,7 @@ GROUP = Group(
     reference=_frames.REFERENCE,
     prepare=_prepare,
     stands_for=(
+        "frames.points.inner",
         "frames.split.radius",
         "frames.split.distant_share",
         "frames.split.counts",
