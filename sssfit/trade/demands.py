@@ -9,6 +9,7 @@ wait for the one with the most.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -25,6 +26,9 @@ REPLAYED = 16
 TEXEL_BYTES = 16
 # The pixels of a block and their samples in the order of `frames.scatter`: one number of all, then the next.
 _ROWS, _COLUMNS = 32, _order.BLOCK // 32
+
+
+_in_order = jax.jit(_order.of_segments, static_argnames="lanes")
 
 
 class Demand(NamedTuple):
@@ -141,5 +145,5 @@ def of_frame(
 def _drawn(counts: np.ndarray) -> float:
     """Samples drawn by blocks of pixels, each as many as its largest count, in lanes of which all wait."""
     lanes = _lanes.number()
-    largest = np.asarray(_order.of_segments(jnp.asarray(counts, jnp.int32), lanes)[1])
+    largest = np.asarray(_in_order(jnp.asarray(counts, jnp.int32), lanes=lanes)[1])
     return float(_order.BLOCK * lanes * max(largest[lane::lanes].sum() for lane in range(lanes)))

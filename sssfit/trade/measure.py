@@ -1,9 +1,12 @@
 """Choices measured side by side: errors once, times in turns, so that a busy machine slows all alike."""
 
+import functools
 import gc
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,7 +26,7 @@ _PACE_NUMBERS, _PACE = 2**20, "pace of the machine"
 # Of the difference of two medians that a machine shows for the same program, whatever the rounds say.
 _LEAST_NOISE = 0.02
 # Seconds before each timed run of a first look.
-_QUICK_PAUSE = 0.02
+_QUICK_PAUSE = 0.01
 
 
 class Found(NamedTuple):
@@ -102,18 +105,12 @@ def group(of: Group, setting: Setting, rounds: int, tell: Tell = lambda text: No
         raise ValueError(f"rounds must be at least 3, got {rounds}")
     tell(f"{of.name}: preparing")
     task = of.prepare(setting)
-    firsts, peaks, errors = [], [], []
-    for choice in task.choices:
-        tell(f"{of.name}: {choice.name}, its error")
-        first, peak, error = _once(choice)
-        firsts.append(first)
-        peaks.append(peak)
-        errors.append(error)
+    firsts, peaks, errors = (_first_look if setting.is_quick else _one_by_one)(task, of.name, tell)
     tell(f"{of.name}: times, {rounds} rounds")
     programs = {choice.name: choice.run for choice in task.choices} | {_PACE: _same_everywhere()}
     times = timing.measure(programs, rounds, pause=_QUICK_PAUSE if setting.is_quick else timing.PAUSE)
     rows = [
-        _row(of, task, choice, times[choice.name], math.nan if setting.is_quick else first, peak, error)
+        _row(of, task, choice, times[choice.name], first, peak, error)
         for choice, first, peak, error in zip(task.choices, firsts, peaks, errors, strict=True)
     ]
     return Found(task.note, rows, float(np.median(times[_PACE])))
@@ -144,13 +141,48 @@ def _same_everywhere() -> Callable[[], Any]:
     return lambda: jax.block_until_ready(program(numbers))
 
 
-def _once(choice: Choice) -> tuple[float, float, Error]:
-    """Seconds of the first run, memory of the second, and the error."""
+def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
+    """Results of calls that are made on threads, one for each core: programs compile beside each other.
+
+    Args:
+        calls: what is called; at least one.
+
+    Returns:
+        Their results, in their order.
+
+    Example:
+        >>> side_by_side([lambda: 1, lambda: 2])
+        [1, 2]
+    """
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(lambda call: call(), calls))
+
+
+def _one_by_one(task: Task, name: str, tell: Tell) -> tuple[list[float], list[float], list[Error]]:
+    """Seconds of each choice's first run, memory of its second, and its error."""
+    firsts, peaks, errors = [], [], []
+    for choice in task.choices:
+        tell(f"{name}: {choice.name}, its error")
+        gc.collect()
+        begun = time.perf_counter()
+        choice.run()
+        firsts.append(time.perf_counter() - begun)
+        peaks.append(machine.peak_of(choice.run))
+        errors.append(choice.error())
+    return firsts, peaks, errors
+
+
+def _first_look(task: Task, name: str, tell: Tell) -> tuple[list[float], list[float], list[Error]]:
+    """The same without the first runs' seconds: of several at once nobody knows what each takes alone."""
+    tell(f"{name}: errors of {len(task.choices)} choices")
+
+    def error(choice: Choice) -> Error:
+        choice.run()
+        return choice.error()
+
+    errors = side_by_side([functools.partial(error, choice) for choice in task.choices])
     gc.collect()
-    begun = time.perf_counter()
-    choice.run()
-    first = time.perf_counter() - begun
-    return first, machine.peak_of(choice.run), choice.error()
+    return [math.nan] * len(errors), [machine.peak_of(choice.run) for choice in task.choices], errors
 
 
 def _row(of: Group, task: Task, choice: Choice, times: np.ndarray, first: float, peak: float, error: Error):
@@ -167,6 +199,5 @@ def _row(of: Group, task: Task, choice: Choice, times: np.ndarray, first: float,
         samples=float(choice.samples() if callable(choice.samples) else choice.samples),
         bytes_moved=choice.bytes_moved,
         peak_bytes=peak,
-        # As it stands: NaN where the first run is not known.
-        compile_seconds=max(first - median, 0.0) if first == first else math.nan,
+        compile_seconds=math.nan if math.isnan(first) else max(first - median, 0.0),
     )

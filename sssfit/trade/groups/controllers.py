@@ -25,17 +25,15 @@ def _prepare(setting: Setting) -> Task:
 
 def _choices(is_quick: bool) -> dict[str, dict]:
     """Constants of the controllers by a name of their own."""
-    found = {f"fixed {n}": {"name": "fixed", "spp": n} for n in ((16, 64) if is_quick else (16, 32, 64))}
+    found = {f"fixed {n}": {"name": "fixed", "spp": n} for n in ((64,) if is_quick else (16, 32, 64))}
     for name in ("as", "ccv"):
         for alpha in (0.2,) if is_quick else (0.05, 0.2):
             for kappa in (0.2,) if is_quick else (0.1, 0.2, 0.5):
                 knobs = {"name": name, "alpha": alpha, "kappa": kappa}
                 found[f"{name}, alpha {alpha:g}, kappa {kappa:g}"] = knobs
-    if not is_quick:
-        found |= {"ocv": {"name": "ocv"}, "unreal": {"name": "unreal"}}
     for alpha in (0.02,) if is_quick else (0.01, 0.02, 0.1):
         found[f"in_frame, alpha {alpha:g}"] = {"name": "in_frame", "alpha": alpha}
-    return found | {"oracle": {"name": "oracle"}}
+    return found if is_quick else found | {name: {"name": name} for name in ("ocv", "unreal", "oracle")}
 
 
 def _choice(label: str, knobs: dict, world, seeds: int) -> Choice:

@@ -5,14 +5,15 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _board, _frames
 from sssfit.trade.setting import Setting
 
-_SAMPLES = (16, 64, 256)
+_SAMPLES, _QUICK_SAMPLES = (16, 64, 256), (64,)
 
 
 def _prepare(setting: Setting) -> Task:
     flat, convolved = _board.flat(setting.is_quick)
     settings = Settings(distance="plane")
     sampled = [
-        _frames.choice(flat, f"{n} samples", {"method": "scatter", "spp": n}, settings, n) for n in _SAMPLES
+        _frames.choice(flat, f"{n} samples", {"method": "scatter", "spp": n}, settings, n)
+        for n in (_QUICK_SAMPLES if setting.is_quick else _SAMPLES)
     ]
     return Task(flat.pixels, (convolved, *sampled), _board.note(flat))
 

@@ -16,7 +16,7 @@ _TARGETS = (1 / 16, 1 / 32, 1 / 64)
 def _prepare(setting: Setting) -> Task:
     _frames.needs_pixels(setting)
     settings = setting.settings
-    fixed = (16, 64, 256) if setting.is_quick else (8, 16, 32, 64, 128, 256)
+    fixed = (64, 256) if setting.is_quick else (8, 16, 32, 64, 128, 256)
     choices = [c for n in fixed for c in _frames.varied(setting, settings, {f"fixed {n}": {}}, n)]
     return _frames.task(setting, [*choices, *_adaptive(setting, settings)])
 

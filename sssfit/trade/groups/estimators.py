@@ -10,18 +10,21 @@ from sssfit.trade.setting import Setting
 
 _FIELDS = ("estimator", "distance", "plane")
 # Which of these two is better depends on how many samples there are.
-_ALSO_MANY, _MANY = (("unbiased", "surface", "screen"), ("ratio", "surface", "screen")), 512
+_ALSO_MANY, _MANY = (("unbiased", "surface", "screen"), ("ratio", "surface", "screen")), 256
 
 
 def _prepare(setting: Setting) -> Task:
     _frames.needs_normals(setting)
     kinds = list(product(*(get_args(kind) for kind in (points.Estimator, points.Distance, points.Plane))))
     if setting.is_quick:
-        kinds = [kind for kind in kinds if kind[2] == "screen" or kind[:2] == ("unbiased", "plane")]
+        kinds = [kind for kind in kinds if kind[0] == "unbiased" or kind == _ALSO_MANY[1]]
+        kinds.remove(("unbiased", "surface", "tangent"))
     few = {_name(kind): dict(zip(_FIELDS, kind, strict=True)) for kind in kinds}
     many = {f"{_name(kind)}, {_MANY} samples": few[_name(kind)] for kind in _ALSO_MANY}
     choices = _frames.varied(setting, setting.settings, few)
-    return _frames.task(setting, [*choices, *_frames.varied(setting, setting.settings, many, _MANY)])
+    if not setting.is_quick:
+        choices += _frames.varied(setting, setting.settings, many, _MANY)
+    return _frames.task(setting, choices)
 
 
 def _name(kind: tuple[str, ...]) -> str:

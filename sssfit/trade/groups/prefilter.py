@@ -4,7 +4,7 @@ from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_SCALES, _QUICK_SCALES = (None, 1 / 16, 1 / 4, 1.0, 4.0), (None, 1 / 16, 1.0)
+_SCALES, _QUICK_SCALES = (None, 1 / 16, 1 / 4, 1.0, 4.0), (None, 1.0)
 
 
 def _prepare(setting: Setting) -> Task:

@@ -35,7 +35,7 @@ def _all(d: np.ndarray, is_quick: bool) -> Iterator[tuple[str, dict[str, Any], K
     if not is_quick:
         yield f"{_TAPS} taps, falloff", {"kernel": "falloff", "taps": _TAPS}, _kernels.falloff(d, _TAPS)
     for number in (4,) if is_quick else (1, 2, 4):
-        for to in ("profile", "radial density"):
+        for to in ("radial density",) if is_quick else ("profile", "radial density"):
             taps = number * _kernels.GAUSSIAN_TAPS
             knobs = {"kernel": "gaussians", "taps": taps, "fitted_to": to}
             name = f"{number} Gaussian{'s' if number > 1 else ''}, {to}"

@@ -1,10 +1,11 @@
 """What a frame costs: the cost model fitted on some frames, and its error on others.
 
 The points of the fit are frames of several sizes, profiles of several widths and maps of counts, by several
-techniques. What tests it is a frame of another size, or the user's, with the counts that its own variance
-asks for; none of that is used for fitting. All take turns in the same rounds.
+techniques. What tests it is another frame, or the user's, with the counts that its own variance asks for;
+none of that is used for fitting. All take turns in the same rounds.
 """
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,14 +21,14 @@ from sssfit.trade import cost_model, demands, timing
 from sssfit.trade.choice import CannotMeasure
 from sssfit.trade.cost_model import Model
 from sssfit.trade.demands import Demand
-from sssfit.trade.measure import Tell
+from sssfit.trade.measure import Tell, side_by_side
 from sssfit.trade.picture import as_png, plain_ticks
 from sssfit.trade.setting import Setting, skin
 from sssfit.trade.study import Finding, Study
 
 #: Most samples of a pixel, in all points: other numbers need programs of their own.
 MOST, LEAST, _PILOT = 64, 4, 8
-_SIZES, _QUICK_SIZES = ((320, 180), (640, 360), (1280, 720)), ((320, 180), (640, 360))
+_SIZES, _QUICK_SIZES = ((320, 180), (640, 360), (1280, 720)), ((320, 180), (480, 270))
 _WIDTHS, _QUICK_WIDTHS = (0.25, 1.0, 4.0), (0.25, 4.0)
 _TECHNIQUES = {
     "distance to the surface": {},
@@ -36,7 +37,8 @@ _TECHNIQUES = {
     "ratio": {"estimator": "ratio"},
 }
 _QUICK_TECHNIQUES = ("distance to the surface", "distance in the plane")
-_UNSEEN_SIZE, _QUICK_UNSEEN_SIZE = (960, 540), (480, 270)
+# A first look takes one for which programs are there.
+_UNSEEN_SIZE, _QUICK_UNSEEN_SIZE = (960, 540), (320, 180)
 _ERRORS_OF_FIT = "median_error_fitted", "median_error_frame_left_out"
 #: Mean variance over target: how many samples a pixel of mean variance gets.
 _ASKED = {"adaptive, 12 wanted": 12, "adaptive, 32 wanted": 32}
@@ -69,7 +71,9 @@ class Point:
 def _measure(setting: Setting, rounds: int, tell: Tell) -> Finding:
     if setting.pixels == 0:
         raise CannotMeasure("the frame has no pixel with a profile")
-    points = [*_fitted(setting, tell), *_unseen(setting, tell)]
+    sizes = _QUICK_SIZES if setting.is_quick else _SIZES
+    parts = [functools.partial(_fitted, setting, size, tell) for size in sizes]
+    points = [point for part in side_by_side([*parts, lambda: _unseen(setting, tell)]) for point in part]
     tell(f"cost_model: times of {len(points)} points, {rounds} rounds")
     # Of rounds in which a busy machine slows all alike.
     times = timing.measure({point.name: point.run for point in points}, rounds, pause=0.01)
@@ -82,22 +86,22 @@ def _techniques(setting: Setting) -> dict[str, Settings]:
     return {name: setting.settings._replace(**_TECHNIQUES[name]) for name in names}
 
 
-def _fitted(setting: Setting, tell: Tell) -> list[Point]:
-    points = []
-    for width, height in _QUICK_SIZES if setting.is_quick else _SIZES:
-        frame = procedural.frame(width=width, height=height)
-        if setting.frame.normal is None:
-            frame = frame._replace(normal=None)
-        maps = _maps(np.asarray(frame.profile_id) > 0, setting.is_quick)
-        for wider in _QUICK_WIDTHS if setting.is_quick else _WIDTHS:
-            name = f"{width} x {height}, d x {wider:g}"
-            profiles = {procedural.BALL: wider * skin(), procedural.BOARD: None}
-            points += _points(name, True, frame, profiles, maps, _techniques(setting), tell)
+def _fitted(setting: Setting, size: tuple[int, int], tell: Tell) -> list[Point]:
+    """The points of the fit in frames of a width and height."""
+    points, (width, height) = [], size
+    frame = procedural.frame(width=width, height=height)
+    if setting.frame.normal is None:
+        frame = frame._replace(normal=None)
+    maps = _maps(np.asarray(frame.profile_id) > 0, setting.is_quick)
+    for wider in _QUICK_WIDTHS if setting.is_quick else _WIDTHS:
+        name = f"{width} x {height}, d x {wider:g}"
+        profiles = {procedural.BALL: wider * skin(), procedural.BOARD: None}
+        points += _points(name, True, frame, profiles, maps, _techniques(setting), tell)
     return points
 
 
 def _unseen(setting: Setting, tell: Tell) -> list[Point]:
-    """The user's frame, or one of another size in which the board scatters, too."""
+    """The user's frame, or another one in which the board scatters, too."""
     frame, name = setting.frame, setting.frame_name
     profiles: Profiles = setting.profiles
     if name == "procedural":

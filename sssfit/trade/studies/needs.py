@@ -6,6 +6,7 @@ have the same random numbers, so that they differ by the feature. At last what t
 least is left out together, feature after feature: what can be compiled away at which loss.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from sssfit.frames.points import Settings
 from sssfit.trade import timing
 from sssfit.trade.choice import CannotMeasure
 from sssfit.trade.groups._frames import SPP
-from sssfit.trade.measure import Tell
+from sssfit.trade.measure import Tell, side_by_side
 from sssfit.trade.picture import as_png, plain_ticks
 from sssfit.trade.setting import Setting
 from sssfit.trade.study import Finding, Study
@@ -163,9 +164,10 @@ def _measure_ways(setting, number, d, ways, known, rounds, tell) -> None:
     """Errors once, and times in turns."""
     seeds = _QUICK_SEEDS if setting.is_quick else _SEEDS
     ordered = sorted(ways, key=str)
-    for at, way in enumerate(ordered, start=1):
-        tell(f"scene_needs: profile {number}, way {at} of {len(ordered)}")
-        errors = known[way].errors if way in known else _errors(setting, number, d, way, seeds)
+    tell(f"scene_needs: profile {number}, errors of {len(ordered)} ways")
+    new = [way for way in ordered if way not in known]
+    found = side_by_side([functools.partial(_errors, setting, number, d, way, seeds) for way in new])
+    for way, errors in zip(new, found, strict=True):
         known[way] = Measured(errors, np.empty(0))
     tell(f"scene_needs: profile {number}, times, {rounds} rounds")
     programs = {str(i): lambda way=way: _image(setting, number, d, way, 0) for i, way in enumerate(ordered)}
