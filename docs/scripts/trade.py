@@ -1,8 +1,9 @@
 """What `sssfit trade` found on one machine, for the page of it; and whether a second run agrees.
 
-    python docs/scripts/trade.py RUN [SECOND_RUN]
+    python docs/scripts/trade.py RUN SECOND_RUN [RUN_ON_A_FRAME ...]
 
-Both are directories of the same command. Pictures of RUN go into docs/images, tables into docs/trade.md.
+RUN and SECOND_RUN are directories of the same command, the others those of `--only cost_model --frame ...`.
+Pictures of RUN go into docs/images, tables into docs/trade.md.
 """
 
 import json
@@ -31,28 +32,30 @@ def rows(found: dict[str, Any]) -> dict[tuple[str, str], dict[str, Any]]:
 
 
 def overview(found: dict[str, Any]) -> str:
-    """The default of each group beside the choices on its front."""
+    """The default of each group, if it has one, beside the choices on its front."""
     lines = []
     for name, group in found["groups"].items():
         best = [one["choice"] for one in group["choices"] if not one["beaten_by"]]
-        (default,) = (one for one in group["choices"] if one["is_default"])
-        cost = (
-            f"{default['nanoseconds']:.3g} ns"
-            if group["cost"] == "time"
-            else f"{default['samples']:.3g} samples"
-        )
+        default = next((one for one in group["choices"] if one["is_default"]), None)
         lines.append(
             {
                 "group": f"`{name}`",
                 "choices": str(len(group["choices"])),
-                "default": default["choice"],
-                "its error": f"{default['error']:.2g}",
-                "its cost": f"{cost} a {group['unit']}",
-                "beaten by": default["beaten_by"],
+                "default": default["choice"] if default else "",
+                "its error": f"{default['error']:.2g}" if default else "",
+                "its cost": cost(default, group) if default else "",
+                "beaten by": default["beaten_by"] if default else "",
                 "on the front": "; ".join(best),
             }
         )
     return frames_data.table(lines, 1)
+
+
+def cost(one: dict[str, Any], group: dict[str, Any]) -> str:
+    """What a unit of work costs."""
+    if group["cost"] == "samples":
+        return f"{one['samples']:.3g} samples a {group['unit']}"
+    return f"{one['nanoseconds']:.3g} ns a {group['unit']}"
 
 
 def conditions(found: dict[str, Any]) -> str:
@@ -104,6 +107,26 @@ def needs(found: dict[str, Any]) -> str:
     return frames_data.table(lines, 2)
 
 
+def on_frames(folders: list[str]) -> str:
+    """The cost model's error on frames that were given."""
+    lines = []
+    for folder in folders:
+        found = load(folder)
+        facts, study = found["conditions"], found["studies"]["cost_model"]
+        times = [row["measured, ms"] for row in study["rows"] if row["used"] == "unseen"]
+        lines.append(
+            {
+                "frame": facts["frame"],
+                "size": f"{facts['width']} x {facts['height']}",
+                "scattering pixels": f"{facts['pixels']:,}",
+                "measured, ms": f"{min(times):.0f} to {max(times):.0f}",
+                "median error, %": f"{100 * study['facts']['median_error_unseen']:.0f}",
+                "largest error, %": f"{100 * study['facts']['largest_error_unseen']:.0f}",
+            }
+        )
+    return frames_data.table(lines, 1)
+
+
 def main() -> None:
     found = load(sys.argv[1])
     page.replace(PAGE, "trade machine", conditions(found))
@@ -114,8 +137,9 @@ def main() -> None:
     page.replace(PAGE, "trade needs", needs(found))
     for name in SHOWN:
         shutil.copy(Path(sys.argv[1]) / f"{name}.png", frames_data.DOCS / "images" / f"trade_{name}.png")
-    if len(sys.argv) > 2:
-        page.replace(PAGE, "trade agreement", agreement(found, load(sys.argv[2])))
+    page.replace(PAGE, "trade agreement", agreement(found, load(sys.argv[2])))
+    if sys.argv[3:]:
+        page.replace(PAGE, "trade cost frames", on_frames(sys.argv[3:]))
 
 
 if __name__ == "__main__":

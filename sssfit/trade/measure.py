@@ -137,7 +137,8 @@ def pace_noise(paces: Sequence[float]) -> float:
 def _same_everywhere() -> Callable[[], Any]:
     """A program whose time tells the machine's pace."""
     numbers = jax.device_put(np.linspace(0.1, 1.0, _PACE_NUMBERS, dtype=np.float32))
-    program = jax.jit(lambda x: jnp.exp(-x) * jnp.sin(40 * x))
+    # A sum: whether the memory of a large result is new or kept from before would tell of something else.
+    program = jax.jit(lambda x: jnp.sum(jnp.exp(-x) * jnp.sin(40 * x)))
     return lambda: jax.block_until_ready(program(numbers))
 
 

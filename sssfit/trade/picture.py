@@ -36,10 +36,10 @@ def front(of: Group, rows: Sequence[Row], note: str = "") -> bytes:
     # Only drawing needs matplotlib.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 5.6), dpi=_DPI)
+    figure = Figure(figsize=(11, 5.6), dpi=_DPI)
     # Fixed: an engine that looks for room takes longer than all else.
     room = {"left": 0.09, "right": 0.99, "bottom": 0.1, "top": 0.88, "wspace": 0.04}
-    axes, names = figure.subplots(1, 2, width_ratios=(5, 2), gridspec_kw=room)
+    axes, names = figure.subplots(1, 2, width_ratios=(7, 4), gridspec_kw=room)
     ordered = sorted(rows, key=lambda row: cost(row, of))
     for number, row in enumerate(ordered, start=1):
         _mark(axes, of, row, not beaten_by(row, rows, of), number)
@@ -90,7 +90,7 @@ def _frame(axes, of: Group, rows: Sequence[Row]) -> None:
 
 
 def plain_ticks(axis: Any) -> None:
-    """Write a logarithmic axis' numbers out, at 1, 2 and 5.
+    """Write a logarithmic axis' numbers out, at 1, 2 and 5, or at each digit within a power of ten.
 
     Args:
         axis: of matplotlib.
@@ -103,7 +103,8 @@ def plain_ticks(axis: Any) -> None:
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high > 10 * low else range(1, 10)))
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
@@ -126,7 +127,8 @@ def as_png(figure: Any) -> bytes:
 
 def _list(axes, ordered: Sequence[Row], rows: Sequence[Row], of: Group) -> None:
     axes.axis("off")
-    size = 8.5 if len(ordered) <= 22 else 8.5 * 22 / len(ordered)
+    longest = max(len(row.choice) + 14 * row.is_default for row in ordered)
+    size = 8.5 * min(1.0, 22 / len(ordered), 46 / longest)
     for place, row in enumerate(ordered):
         is_best = not beaten_by(row, rows, of)
         text = f"{place + 1}  {row.choice}{' (default)' if row.is_default else ''}"

@@ -68,5 +68,7 @@ GROUP = Group(
     error="root mean square error of the radius, in d",
     reference="burley.ppf in float64",
     prepare=_prepare,
+    beside_the_front="Entries are paid for in memory, and hardly in the time of a lookup: the default fills "
+    "1 KiB.",
     stands_for=("tables.radius.radius",),
 )

@@ -263,7 +263,7 @@ def _picture(finding: Finding) -> bytes:
     losses.set_yticks(places, [f"{row['profile']}: {row['feature']}" for row in rows], fontsize=8)
     losses.axvline(0, color="0.6", linewidth=1)
     losses.set_xscale("symlog", linthresh=10)
-    losses.set_xticks([-50, -20, -10, 0, 10, 20, 50, 100, 200], minor=False)
+    losses.set_xticks([-100, -30, -10, 0, 10, 30, 100, 300], minor=False)
     losses.xaxis.set_major_formatter("{x:g}")
     losses.set_xlabel("more error without it, % (bars: 95 %)")
     times.axvline(1, color="0.6", linewidth=1)
