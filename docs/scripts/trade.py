@@ -1,9 +1,10 @@
 """What `sssfit trade` found on one machine, for the page of it; and whether a second run agrees.
 
-    python docs/scripts/trade.py RUN SECOND_RUN [RUN_ON_A_FRAME ...]
+    python docs/scripts/trade.py RUN LOOK SECOND_LOOK ON_FRAME ...
 
-RUN and SECOND_RUN are directories of the same command, the others those of `--only cost_model --frame ...`.
-Pictures of RUN go into docs/images, tables into docs/trade.md.
+RUN is a directory of `sssfit trade`, LOOK and SECOND_LOOK are two of `--quick`, the others those of `--only
+cost_model scene_needs --frame ...`, named as the scenes. Pictures of RUN go into docs/images, tables into
+docs/trade.md.
 """
 
 import json
@@ -40,15 +41,15 @@ def overview(found: dict[str, Any]) -> str:
         lines.append(
             {
                 "group": f"`{name}`",
-                "choices": str(len(group["choices"])),
                 "default": default["choice"] if default else "",
-                "its error": f"{default['error']:.2g}" if default else "",
-                "its cost": cost(default, group) if default else "",
                 "beaten by": default["beaten_by"] if default else "",
                 "on the front": "; ".join(best),
+                "choices": str(len(group["choices"])),
+                "the default's error": f"{default['error']:.2g}" if default else "",
+                "its cost": cost(default, group) if default else "",
             }
         )
-    return frames_data.table(lines, 1)
+    return frames_data.table(lines, 4)
 
 
 def cost(one: dict[str, Any], group: dict[str, Any]) -> str:
@@ -83,7 +84,8 @@ def agreement(one: dict[str, Any], other: dict[str, Any]) -> str:
         errors += row["error"] == again["error"]
     number = len(first)
     return (
-        f"Of {number} times of a second run {with_pace / number:.1%} lie within the noise between runs, and "
+        f"Of {number} times of two runs of `--quick` {with_pace / number:.1%} lie within the noise between "
+        "runs, and "
         f"{within / number:.1%} within the noise in each alone; {errors / number:.1%} of the errors are the "
         "same to the last bit."
     )
@@ -96,15 +98,15 @@ def needs(found: dict[str, Any]) -> str:
             {
                 "profile": str(row["profile"]),
                 "feature": row["feature"],
+                "verdict": row["verdict"],
                 "in the default": row["in the default"],
                 "error with": f"{row['error with']:.4f}",
                 "error without": f"{row['error without']:.4f}",
                 "± of the loss": f"{row['loss, ±']:.4f}",
                 "time with / without": f"{row['time with / without']:.2f}",
-                "verdict": row["verdict"],
             }
         )
-    return frames_data.table(lines, 2)
+    return frames_data.table(lines, 3)
 
 
 def on_frames(folders: list[str]) -> str:
@@ -116,7 +118,7 @@ def on_frames(folders: list[str]) -> str:
         times = [row["measured, ms"] for row in study["rows"] if row["used"] == "unseen"]
         lines.append(
             {
-                "frame": facts["frame"],
+                "frame": f"`{Path(folder).name}`",
                 "size": f"{facts['width']} x {facts['height']}",
                 "scattering pixels": f"{facts['pixels']:,}",
                 "measured, ms": f"{min(times):.0f} to {max(times):.0f}",
@@ -137,9 +139,9 @@ def main() -> None:
     page.replace(PAGE, "trade needs", needs(found))
     for name in SHOWN:
         shutil.copy(Path(sys.argv[1]) / f"{name}.png", frames_data.DOCS / "images" / f"trade_{name}.png")
-    page.replace(PAGE, "trade agreement", agreement(found, load(sys.argv[2])))
-    if sys.argv[3:]:
-        page.replace(PAGE, "trade cost frames", on_frames(sys.argv[3:]))
+    page.replace(PAGE, "trade agreement", agreement(load(sys.argv[2]), load(sys.argv[3])))
+    page.replace(PAGE, "trade cost frames", on_frames(sys.argv[4:]))
+    page.replace(PAGE, "trade needs frames", needs(load(sys.argv[4])))
 
 
 if __name__ == "__main__":

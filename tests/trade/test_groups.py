@@ -10,7 +10,17 @@ from sssfit.tables import falloff, shadow
 from sssfit.tables.collection import Sizes
 from sssfit.tables.table import Axis, Table
 from sssfit.trade import registry
-from sssfit.trade.groups import _blur, _kernels, _lookup, _waves, falloff_tables, lookup_tables, recursions
+from sssfit.trade.groups import (
+    _blur,
+    _board,
+    _kernels,
+    _lookup,
+    _waves,
+    falloff_tables,
+    lookup_tables,
+    recursions,
+    separable,
+)
 from sssfit.trade.setting import procedural_setting, skin
 
 
@@ -38,7 +48,7 @@ SLOW = [
 @pytest.mark.parametrize("name", ["recursions", "reprojection", *SLOW])
 def test_one_of_several_choices_is_the_default(name, choices):
     made = choices(name).values()
-    assert len(made) > 2 and sum(choice.is_default for choice in made) == 1
+    assert len(made) > 1 and sum(choice.is_default for choice in made) == 1
     assert all(choice.bytes_moved > 0 for choice in made)
 
 
@@ -177,10 +187,15 @@ def test_compensation_takes_most_of_the_rounding_away(choices):
 
 
 @pytest.mark.slow
-def test_in_parallel_the_same_comes_out_to_rounding(choices):
-    made = choices("recursions")
+def test_in_parallel_the_same_comes_out_to_rounding():
+    series = np.random.default_rng(0).normal(1.0, 0.1, 2**12).astype(np.float32)
+    exact_variance = recursions._reference(series)
+    one, other = (
+        recursions._choice(way, way, False, series, exact_variance).error().value
+        for way in ("associative", "scan")
+    )
     # As `moving.ema` says of both, for 2^12 values.
-    assert made["associative"].error().value < 16 * made["scan"].error().value
+    assert one < 16 * other
 
 
 def test_blurs_are_products_of_matrices():
@@ -217,7 +232,9 @@ def test_more_taps_blur_more_nearly_as_the_profile_does():
 def test_gaussians_of_the_radial_density_blur_more_nearly_than_those_of_the_profile(choices):
     found = {name: choice.error().value for name, choice in choices("separable").items()}
     assert found["4 Gaussians, radial density"] < found["25 taps"] < found["9 taps"]
-    assert found["4 Gaussians, radial density"] < 0.5 * found["4 Gaussians, profile"]
+    flat, _ = _board.flat(is_quick=True)
+    of_profile = separable._choice(flat, "", {}, _kernels.gaussians(skin(), 4, "profile"))
+    assert found["4 Gaussians, radial density"] < 0.5 * of_profile.error().value
 
 
 @pytest.mark.slow

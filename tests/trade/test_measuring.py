@@ -78,13 +78,16 @@ def test_memory_is_that_of_the_run():
 # --- measuring
 
 
-def test_a_group_is_measured_choice_by_choice():
-    told = []
-    rows = measure.group(group(choice("few"), choice("many", 10_000)), SETTING, 3, told.append).rows
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_a_group_is_measured_choice_by_choice(is_quick):
+    told, on = [], dataclasses.replace(SETTING, is_quick=is_quick)
+    rows = measure.group(group(choice("few"), choice("many", 10_000)), on, 3, told.append).rows
     assert [each.choice for each in rows] == ["few", "many"]
     assert rows[1].nanoseconds > 5 * rows[0].nanoseconds > 0
     assert rows[0].error == 0.5 and rows[0].error_noise == 0.01 and rows[0].knobs == {"work": 100}
-    assert told[0] == "sums: preparing" and "many" in told[2]
+    assert all(math.isnan(each.compile_seconds) == is_quick for each in rows)
+    assert told[0] == "sums: preparing" and told[-1] == "sums: times, 3 rounds"
+    assert ("sums: many, its error" in told) == (not is_quick)
 
 
 def test_too_few_rounds_are_refused():

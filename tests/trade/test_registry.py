@@ -9,6 +9,7 @@ import pytest
 
 from sssfit.trade import registry
 from sssfit.trade.choice import CannotMeasure
+from sssfit.trade.groups import convolution
 from sssfit.trade.setting import procedural_setting
 
 PACKAGE = Path(__file__).resolve().parents[2] / "sssfit"
@@ -202,7 +203,8 @@ def test_what_is_the_default_stands_in_each_group_of_frames(name):
 
 
 @pytest.mark.slow
-def test_samples_are_measured_against_the_convolution():
+def test_samples_are_measured_against_the_convolution(monkeypatch):
+    monkeypatch.setattr(convolution, "_QUICK_SAMPLES", convolution._SAMPLES)
     fft, few, more, many = registry.GROUPS["convolution"].prepare(procedural_setting(is_quick=True)).choices
     assert fft.error().value == 0
     found = [each.error().value for each in (few, more, many)]

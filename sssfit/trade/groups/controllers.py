@@ -66,8 +66,8 @@ GROUP = Group(
     error="root mean square error of a frame's result, mean light 1",
     reference="the circle's exact answer",
     prepare=_prepare,
-    beside_the_front="The default has the papers' kappa. Where light rises and falls, a larger one saves some "
-    "parts in a thousand of the samples; where it stays, that asks for more of them.",
+    beside_the_front="The default has the papers' kappa. Where light rises and falls, a larger one saves "
+    "some parts in a thousand of the samples; where it stays, that asks for more of them.",
     cost="samples",
     stands_for=(
         "estimators.policies.named",
