@@ -151,8 +151,7 @@ def _of_profile(setting: Setting, number: int, d: Any, rounds: int, tell: Tell):
     kept.sort(key=lambda feature: loss[feature.name])
     groups = [kept[: n + 1] for n in range(1, len(kept))]
     ways = [without_all(group) for group in groups]
-    again = {every[0].with_it, *ways} - known.keys()
-    _measure_ways(setting, number, d, again | {every[0].with_it}, known, rounds, tell)
+    _measure_ways(setting, number, d, {every[0].with_it, *ways}, known, rounds, tell)
     chain = [
         _row(number, " + ".join(f.name for f in group), True, known[every[0].with_it], known[way])
         for group, way in zip(groups, ways, strict=True)
