@@ -85,7 +85,9 @@ def fetched(frame: Frame, profile_id: int, d: Any) -> Fetched:
     if samples == 0:
         return Fetched(0.0, 0.0)
     # Pixels of a block read side by side; where they read is known without their surfaces.
-    order = Schedule(units=1, resident=1, warp=(_ROWS, _COLUMNS), block=1, order="rows", line_bytes=64)
+    caches = machine.caches()
+    line = caches[0].line_bytes
+    order = Schedule(units=1, resident=1, warp=(_ROWS, _COLUMNS), block=1, order="rows", line_bytes=line)
     reads = addresses.of_samples(
         frame._replace(normal=None),
         {profile_id: d, **dict.fromkeys(set(ids.ravel().tolist()) - {0, profile_id})},
@@ -94,7 +96,7 @@ def fetched(frame: Frame, profile_id: int, d: Any) -> Fetched:
         texture=Texture(height, width, texel_bytes=TEXEL_BYTES, tile=(1, 1)),
         schedule=order,
     )
-    counts = cache.simulate_chunks(reads, machine.caches())
+    counts = cache.simulate_chunks(reads, caches)
     return Fetched(*(level.bytes_from_below / samples for level in counts))
 
 

@@ -123,7 +123,7 @@ def pace_noise(paces: Sequence[float]) -> float:
         paces: of the groups of a run, seconds.
 
     Returns:
-        Half the width of a 95 % interval of one pace, as a share of it; NaN for fewer than two.
+        Half the width of a 95 % interval of one pace's logarithm; NaN for fewer than two.
 
     Example:
         >>> pace_noise([1.0, 1.0, 1.0])
@@ -155,8 +155,15 @@ def side_by_side(calls: Sequence[Callable[[], Any]]) -> list[Any]:
         >>> side_by_side([lambda: 1, lambda: 2])
         [1, 2]
     """
+    wide = jax.config.read("jax_enable_x64")
+
+    def alone(call: Callable[[], Any]) -> Any:
+        # A thread has a configuration of its own.
+        with jax.enable_x64(wide):
+            return call()
+
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(lambda call: call(), calls))
+        return list(pool.map(alone, calls))
 
 
 def _one_by_one(task: Task, name: str, tell: Tell) -> tuple[list[float], list[float], list[Error]]:

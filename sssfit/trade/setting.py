@@ -27,6 +27,7 @@ class Setting:
         frame: what frames' groups scatter.
         profiles: shapes in mm by id.
         frame_name: what the report calls it.
+        is_procedural: whether the frame is the package's own.
         exact: the scattered frame, (H, W, 3), where it is known already.
     """
 
@@ -34,6 +35,7 @@ class Setting:
     frame: Frame
     profiles: Profiles
     frame_name: str
+    is_procedural: bool = False
     exact: np.ndarray | None = None
 
     @functools.cached_property
@@ -89,7 +91,8 @@ def procedural_setting(is_quick: bool) -> Setting:
     """
     width, height = QUICK_SIZE if is_quick else FULL_SIZE
     frame = procedural.frame(width=width, height=height)
-    return Setting(is_quick, frame, {procedural.BALL: skin(), procedural.BOARD: None}, "procedural")
+    profiles: Profiles = {procedural.BALL: skin(), procedural.BOARD: None}
+    return Setting(is_quick, frame, profiles, "procedural", is_procedural=True)
 
 
 def skin() -> np.ndarray:

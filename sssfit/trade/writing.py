@@ -1,6 +1,5 @@
 """What `sssfit trade` writes: each group's measurements as they come, and the report at the end."""
 
-import dataclasses
 import math
 import os
 from collections.abc import Sequence
@@ -22,6 +21,8 @@ from sssfit.trade.setting import Setting
 from sssfit.trade.study import Finding, Study
 
 _FOLDER = "measured"
+#: Of the files in it; others are other conditions.
+_FORMAT = 2
 
 
 def conditions(setting: Setting, rounds: int) -> dict[str, Any]:
@@ -38,6 +39,7 @@ def conditions(setting: Setting, rounds: int) -> dict[str, Any]:
     """
     device = jax.devices()[0]
     return {
+        "format": _FORMAT,
         "processor": machine.processor(),
         "cores": os.cpu_count(),
         "device": f"{device.platform} {device.device_kind}",
@@ -100,14 +102,12 @@ class Ledger:
         if path.exists():
             content = self._content(path)
             kept = content["finding"]
-            finding = kept and Finding(tuple(kept["sentences"]), tuple(kept["rows"]), kept["facts"])
-            return Studied(study, finding, content["skipped"])
+            return Studied(study, kept and _finding(kept), content["skipped"])
         try:
             found = Studied(study, study.measure(setting, rounds, tell))
         except CannotMeasure as reason:
             found = Studied(study, None, str(reason))
-        finding = found.finding and dataclasses.asdict(found.finding)
-        self._keep(path, {"skipped": found.skipped, "finding": finding})
+        self._keep(path, {"skipped": found.skipped, "finding": found.finding and _kept(found.finding)})
         return found
 
     def _keep(self, path: Path, content: dict[str, Any]) -> None:
@@ -125,6 +125,19 @@ class Ledger:
             remedy = "use another --out, or leave --resume out"
             raise FileError(path, "", "was measured under other conditions", remedy)
         return content
+
+
+def _kept(finding: Finding) -> dict[str, Any]:
+    """A finding for JSON, whose objects have no order of their own: columns apart from rows."""
+    rows = [list(row.values()) for row in finding.rows]
+    return {"sentences": finding.sentences, "facts": finding.facts, "rows": rows} | {
+        "columns": list(finding.rows[0])
+    }
+
+
+def _finding(kept: dict[str, Any]) -> Finding:
+    rows = tuple(dict(zip(kept["columns"], row, strict=True)) for row in kept["rows"])
+    return Finding(tuple(kept["sentences"]), rows, kept["facts"])
 
 
 def _numbers(row: dict[str, Any]) -> dict[str, Any]:

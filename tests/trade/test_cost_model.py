@@ -193,7 +193,10 @@ def test_what_is_measured_tests_the_fit_on_the_setting(monkeypatch):
     monkeypatch.setattr(cost, "_QUICK_SIZES", ((96, 54), (128, 72)))
     monkeypatch.setattr(cost, "_QUICK_TECHNIQUES", ("distance in the plane",))
     setting = dataclasses.replace(
-        procedural_setting(True), frame=procedural.frame(9, width=160, height=90), frame_name="mine"
+        procedural_setting(True),
+        frame=procedural.frame(9, width=160, height=90),
+        frame_name="mine",
+        is_procedural=False,
     )
     found = cost.STUDY.measure(setting, 3, lambda text: None)
     unseen = [row for row in found.rows if row["used"] == "unseen"]

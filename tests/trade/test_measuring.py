@@ -7,6 +7,8 @@ import itertools
 import json
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -95,6 +97,14 @@ def test_too_few_rounds_are_refused():
         measure.group(group(choice("one")), SETTING, 2)
 
 
+def test_calls_on_threads_have_the_callers_precision():
+    with jax.enable_x64(True):
+        found = measure.side_by_side([lambda: jnp.ones(1, float).dtype] * 2)
+    assert found == [np.float64] * 2 and measure.side_by_side([lambda: jnp.ones(1, float).dtype]) == [
+        np.float32
+    ]
+
+
 # --- fronts
 
 numbers = st.floats(0.1, 10)
@@ -132,7 +142,7 @@ def test_samples_can_be_what_is_paid():
 
 # --- reports
 
-FINDING = Finding(("it costs 2.5 ms",), ({"frame": "a & b", "ms": 2.5},), {"seconds": 0.0025})
+FINDING = Finding(("it costs 2.5 ms",), ({"ms": 2.5, "frame": "a & b"},), {"seconds": 0.0025})
 
 FOUND = [
     Measured(group(), (row("a", 2.0, 3.0), row("b", 1.0, 1.0))),
@@ -167,7 +177,7 @@ def test_tables_hold_every_number():
     assert found["studies"]["sums_cost"]["rows"] == ({"frame": "a & b", "ms": 2.5},)
     assert found["studies"]["needs"]["skipped"] == "the frame has no normals"
     json.dumps(found, allow_nan=False)
-    assert report.rows_as_csv(FINDING.rows) == b"frame,ms\na & b,2.5\n"
+    assert report.rows_as_csv(FINDING.rows) == b"ms,frame\n2.5,a & b\n"
 
 
 def test_a_page_needs_nothing_else():
@@ -175,7 +185,7 @@ def test_a_page_needs_nothing_else():
     text = page.as_html(FOUND, STUDIED, pictures, {"processor": "one & two"}).decode()
     assert 'src="data:image/png;base64,' in text and "http" not in text.replace("http-equiv", "")
     assert text.count("Not measured: the frame has no normals.") == 2 and "one &amp; two" in text
-    assert "<td>a &amp; b</td><td>2.5</td>" in text and "<li>it costs 2.5 ms</li>" in text
+    assert "<td>2.5</td><td>a &amp; b</td>" in text and "<li>it costs 2.5 ms</li>" in text
     assert "From one group to another" not in text
     paced = [dataclasses.replace(FOUND[0], pace=pace) for pace in (1.0, 1.1)]
     assert "From one group to another" in page.as_html(paced, [], pictures, {}).decode()
@@ -229,6 +239,9 @@ def test_studies_are_kept_and_gone_on_with(tmp_path):
 
     kept = dataclasses.replace(study(), measure=fail)
     assert report.as_json([], [again.studied(kept, SETTING, 3, fail)], {}) == report.as_json([], [found], {})
+    assert page.as_html([], [again.studied(kept, SETTING, 3, fail)], {"sums_cost": b""}, {}) == page.as_html(
+        [], [found], {"sums_cost": b""}, {}
+    )
     none = dataclasses.replace(study(None, "needs"), measure=fail)
     assert again.studied(none, SETTING, 3, fail).skipped == "the frame has no normals"
 

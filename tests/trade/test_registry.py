@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sssfit.trade import registry
@@ -193,6 +194,17 @@ def test_a_frame_without_profiles_cannot_be_measured(name):
     empty = dataclasses.replace(procedural_setting(is_quick=True), profiles={1: None, 2: None})
     with pytest.raises(CannotMeasure, match="the frame has no pixel with a profile"):
         registry.GROUPS[name].prepare(empty)
+
+
+@pytest.mark.slow
+def test_what_is_dark_cannot_be_measured():
+    setting = procedural_setting(is_quick=True)
+    black = setting.frame._replace(irradiance=0 * setting.frame.irradiance)
+    dark = dataclasses.replace(setting, frame=black, exact=np.zeros((180, 320, 3)))
+    with pytest.raises(CannotMeasure, match="the samples of the frame have no variance"):
+        registry.GROUPS["counts"].prepare(dark)
+    with pytest.raises(CannotMeasure, match="profile 1 has no light"):
+        registry.STUDIES["scene_needs"].measure(dark, 3, lambda text: None)
 
 
 @pytest.mark.parametrize("name", ["counts", "sequences", "importance", "channels", "estimators", "prefilter"])

@@ -71,6 +71,8 @@ class Point:
 def _measure(setting: Setting, rounds: int, tell: Tell) -> Finding:
     if setting.pixels == 0:
         raise CannotMeasure("the frame has no pixel with a profile")
+    if jax.default_backend() != "cpu":
+        raise CannotMeasure("it is known of CPUs alone what their caches hold")
     sizes = _QUICK_SIZES if setting.is_quick else _SIZES
     parts = [functools.partial(_fitted, setting, size, tell) for size in sizes]
     points = [point for part in side_by_side([*parts, lambda: _unseen(setting, tell)]) for point in part]
@@ -104,7 +106,7 @@ def _unseen(setting: Setting, tell: Tell) -> list[Point]:
     """The user's frame, or another one in which the board scatters, too."""
     frame, name = setting.frame, setting.frame_name
     profiles: Profiles = setting.profiles
-    if name == "procedural":
+    if setting.is_procedural:
         width, height = _QUICK_UNSEEN_SIZE if setting.is_quick else _UNSEEN_SIZE
         frame = procedural.frame(15, width=width, height=height)
         profiles = {procedural.BALL: skin(), procedural.BOARD: 3 * skin()}
@@ -115,6 +117,8 @@ def _unseen(setting: Setting, tell: Tell) -> list[Point]:
     ids = np.where(mask, np.asarray(frame.profile_id), 0)
     variance = adaptive.smoothed(variance, ids, render.SMOOTHING)
     mean = float(np.mean(variance[mask]))
+    if not mean > 0:
+        raise CannotMeasure("the samples of the frame have no variance")
     maps = {
         name: np.where(mask, adaptive.counts(variance, mean / wanted, LEAST, MOST), 0)
         for name, wanted in _ASKED.items()

@@ -29,6 +29,8 @@ from sssfit.trade.study import Finding, Study
 _SEEDS, _QUICK_SEEDS = 8, 4
 #: What the split and the prefilter are switched on with.
 SPLIT, PREFILTER = 0.05, 1.0
+#: What a scene can do without: up to so much more error, at the end of the loss' 95 % interval.
+SMALL = 0.05
 
 
 class Way(NamedTuple):
@@ -193,6 +195,8 @@ def _errors(setting: Setting, number: int, d: Any, way: Way, seeds: int) -> np.n
     own = np.asarray(setting.frame.profile_id) == number
     reference = setting.reference[own].astype(np.float64)
     power = np.mean(np.square(reference))
+    if not power > 0:
+        raise CannotMeasure(f"profile {number} has no light")
     images = (np.asarray(_image(setting, number, d, way, seed))[own] for seed in range(seeds))
     return np.array([np.sqrt(np.mean(np.square(image - reference)) / power) for image in images])
 
@@ -223,15 +227,21 @@ def _verdict(row: Mapping[str, Any]) -> str:
     loss, noise, error, slower = (
         row[key] for key in ("loss", "loss, ±", "error with", "time with / without")
     )
+    undecided = f"undecided: a loss of {loss / error:.0%} ± {noise / error:.0%}"
     if row["in the default"] == "no":
         if loss > noise:
             return f"buys {loss / row['error without']:.0%} of the error for {slower:.2g} x the time"
-        return "buys nothing here" if loss >= -noise else "makes the error larger here"
-    if loss > noise:
-        return f"without: {1 + loss / error:.3g} x the error, {1 / slower:.2g} x the time"
+        if loss < -noise:
+            return "makes the error larger here"
+        return "buys nothing here" if loss + noise <= SMALL * error else undecided
     if loss < -noise:
         return f"can be compiled away: {-loss / error:.0%} less error without"
-    return f"can be compiled away: a loss of {max(loss, 0) / error:.1%}, at most {(loss + noise) / error:.1%}"
+    most = (loss + noise) / error
+    if most <= SMALL:
+        return f"can be compiled away: a loss of {max(loss, 0) / error:.1%}, at most {most:.1%}"
+    if loss > noise:
+        return f"without: {1 + loss / error:.3g} x the error, {1 / slower:.2g} x the time"
+    return undecided
 
 
 def _sentence(rows: Sequence[Mapping[str, Any]], number: str) -> str:
