@@ -1,14 +1,14 @@
 """The unbiased sum or the papers' ratio, distances to the surface or in the plane, and the plane."""
 
 from itertools import product
-from typing import get_args
+from typing import Any, get_args
 
 from sssfit.frames import points
 from sssfit.trade.choice import Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
-_FIELDS = ("estimator", "distance", "plane")
+_FIELDS: tuple[str, ...] = ("estimator", "distance", "plane")
 # Which of these two is better depends on how many samples there are.
 _ALSO_MANY, _MANY = (("unbiased", "surface", "screen"), ("ratio", "surface", "screen")), 256
 
@@ -19,7 +19,7 @@ def _prepare(setting: Setting) -> Task:
     if setting.is_quick:
         kinds = [kind for kind in kinds if kind[0] == "unbiased" or kind == _ALSO_MANY[1]]
         kinds.remove(("unbiased", "surface", "tangent"))
-    few = {_name(kind): dict(zip(_FIELDS, kind, strict=True)) for kind in kinds}
+    few: dict[str, dict[str, Any]] = {_name(kind): dict(zip(_FIELDS, kind, strict=True)) for kind in kinds}
     many = {f"{_name(kind)}, {_MANY} samples": few[_name(kind)] for kind in _ALSO_MANY}
     choices = _frames.varied(setting, setting.settings, few)
     if not setting.is_quick:
