@@ -21,8 +21,8 @@ def add_command(commands) -> None:
         "trade",
         help="measure what each approximation costs and what it loses, with Pareto fronts",
         description="Run the approximations of the package side by side on this machine, in turns, and write "
-        "a picture for each group, report.html, trade.csv, trade.json and manifest.json. What is measured is "
-        "kept in DIR/measured as it comes; --resume goes on with it.",
+        "a picture for each group and study, report.html, trade.csv, trade.json, a CSV for each study and "
+        "manifest.json. What is measured is kept in DIR/measured as it comes; --resume goes on with it.",
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

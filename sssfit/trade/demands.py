@@ -26,8 +26,6 @@ REPLAYED = 16
 TEXEL_BYTES = 16
 # The pixels of a block and their samples in the order of `frames.scatter`: one number of all, then the next.
 _ROWS, _COLUMNS = 32, _order.BLOCK // 32
-
-
 _in_order = jax.jit(_order.of_segments, static_argnames="lanes")
 
 
@@ -116,6 +114,12 @@ def of_frame(
         settings: see `points.Settings`; without a split.
         fetched_by_id: of each profile that scatters, see `fetched`.
 
+    Returns:
+        The sum over the profiles that scatter and have a pixel; all 0 without any.
+
+    Raises:
+        KeyError: such a profile is not in `fetched_by_id`.
+
     Source: Xie, dissertation, 2021, Eq 3.1 to 3.5.
 
     Example:
@@ -127,8 +131,8 @@ def of_frame(
         (1, True, True)
     """
     ids = np.asarray(frame.profile_id)
-    # The surface's depth and slopes lie beside the light: half as many bytes more.
-    texels = 1.5 if settings.distance == "surface" else 1.0
+    # The surface's depth and slopes lie beside the light: half as many bytes more; its depth alone has room.
+    texels = 1.5 if settings.distance == "surface" and frame.normal is not None else 1.0
     passes, pixels, samples, drawn, second, memory = 0, 0, 0, 0.0, 0.0, 0.0
     for profile_id, d in profiles.items():
         own = np.where(ids == profile_id, np.maximum(counts, 0), 0)

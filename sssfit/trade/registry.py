@@ -75,6 +75,6 @@ def chosen(names: Sequence[str] | None) -> tuple[list[Group], list[Study]]:
     known = (*GROUPS, *STUDIES)
     unknown = [name for name in names or () if name not in known]
     if unknown:
-        raise ValueError(f"--only must name groups among {', '.join(known)}, got {unknown[0]!r}")
+        raise ValueError(f"--only must name groups or studies among {', '.join(known)}, got {unknown[0]!r}")
     groups = [group for name, group in GROUPS.items() if names is None or name in names]
     return groups, [study for name, study in STUDIES.items() if names is None or name in names]

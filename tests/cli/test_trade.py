@@ -92,7 +92,7 @@ def test_what_a_frame_lacks_is_said_in_the_report(tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["--only", "speed"], "--only must name groups among inverse_cdfs, "),
+        (["--only", "speed"], "--only must name groups or studies among inverse_cdfs, "),
         (["--rounds", "2"], "--rounds must be at least 3, got 2"),
         (["--camera", "camera.json"], "--camera belongs to --frame"),
         (["--frame", "frame.exr"], "--frame needs --camera"),

@@ -110,7 +110,13 @@ def test_demands_are_counted_as_by_hand():
     assert found.passes == 1 and found.frame_pixels == found.pixels == 64 * 128
     # Two blocks of 4096 pixels, and as many lanes as are alike.
     assert found.samples == 16 * 64 * 128 and found.drawn >= found.samples
-    assert (found.from_second, found.from_memory) == (1.5 * 8 * found.drawn, 1.5 * 2 * found.drawn)
+    assert (found.from_second, found.from_memory) == (8 * found.drawn, 2 * found.drawn)
+    # Slopes need normals, and lie beside the depth in another word of eight bytes.
+    facing = flat()._replace(normal=jnp.zeros((64, 128, 3)).at[..., 2].set(1))
+    wide = demands.of_frame(
+        facing, {1: [0.1] * 3}, np.full((64, 128), 16), Settings(), {1: Fetched(8.0, 2.0)}
+    )
+    assert (wide.from_second, wide.from_memory) == (1.5 * 8 * found.drawn, 1.5 * 2 * found.drawn)
 
 
 def test_pixels_wait_for_the_one_with_the_most_samples():

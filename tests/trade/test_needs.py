@@ -10,13 +10,13 @@ from sssfit.frames import procedural
 from sssfit.trade.choice import CannotMeasure
 from sssfit.trade.setting import procedural_setting
 from sssfit.trade.studies import needs
-from sssfit.trade.studies.needs import Measured, Way
+from sssfit.trade.studies.needs import Trials, Way
 
 SETTING = procedural_setting(is_quick=True)
 
 
 def measured(errors, seconds=(1.0, 1.0, 1.0)):
-    return Measured(np.asarray(errors), np.asarray(seconds))
+    return Trials(np.asarray(errors), np.asarray(seconds))
 
 
 def row(with_it, without, is_default=True):

@@ -77,9 +77,11 @@ def varied(
 
 
 def needs_pixels(setting: Setting) -> None:
-    """Raise where nothing scatters."""
+    """Raise where nothing scatters, or no light."""
     if setting.pixels == 0:
         raise CannotMeasure("the frame has no pixel with a profile")
+    if not np.any(np.asarray(setting.frame.irradiance)[setting.mask]):
+        raise CannotMeasure("no pixel with a profile has light")
 
 
 def needs_normals(setting: Setting) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from sssfit.frames import adaptive, render, scatter
 from sssfit.frames.points import Settings
-from sssfit.trade.choice import CannotMeasure, Choice, Group, Task
+from sssfit.trade.choice import Choice, Group, Task
 from sssfit.trade.groups import _frames
 from sssfit.trade.setting import Setting
 
@@ -28,8 +28,6 @@ def _adaptive(setting: Setting, settings: Settings) -> list[Choice]:
     ids = np.where(setting.mask, np.asarray(setting.frame.profile_id), 0)
     variance = adaptive.smoothed(variance, ids, render.SMOOTHING)
     mean, found = float(np.mean(variance[setting.mask])), []
-    if not mean > 0:
-        raise CannotMeasure("the samples of the frame have no variance")
     for share in _TARGETS[1::2] if setting.is_quick else _TARGETS:
         target = share * mean
         counts = np.where(setting.mask, adaptive.counts(variance, target, _LEAST, _MOST), 0)

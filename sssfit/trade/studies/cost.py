@@ -21,6 +21,7 @@ from sssfit.trade import cost_model, demands, timing
 from sssfit.trade.choice import CannotMeasure
 from sssfit.trade.cost_model import Model
 from sssfit.trade.demands import Demand
+from sssfit.trade.groups._frames import needs_pixels
 from sssfit.trade.measure import Tell, side_by_side
 from sssfit.trade.picture import as_png, plain_ticks
 from sssfit.trade.setting import Setting, skin
@@ -69,8 +70,7 @@ class Point:
 
 
 def _measure(setting: Setting, rounds: int, tell: Tell) -> Finding:
-    if setting.pixels == 0:
-        raise CannotMeasure("the frame has no pixel with a profile")
+    needs_pixels(setting)
     if jax.default_backend() != "cpu":
         raise CannotMeasure("it is known of CPUs alone what their caches hold")
     sizes = _QUICK_SIZES if setting.is_quick else _SIZES
@@ -117,8 +117,6 @@ def _unseen(setting: Setting, tell: Tell) -> list[Point]:
     ids = np.where(mask, np.asarray(frame.profile_id), 0)
     variance = adaptive.smoothed(variance, ids, render.SMOOTHING)
     mean = float(np.mean(variance[mask]))
-    if not mean > 0:
-        raise CannotMeasure("the samples of the frame have no variance")
     maps = {
         name: np.where(mask, adaptive.counts(variance, mean / wanted, LEAST, MOST), 0)
         for name, wanted in _ASKED.items()

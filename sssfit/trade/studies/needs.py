@@ -62,7 +62,7 @@ class Feature(NamedTuple):
     is_default: bool
 
 
-class Measured(NamedTuple):
+class Trials(NamedTuple):
     """A way's errors and times.
 
     Attributes:
@@ -132,19 +132,25 @@ def _measure(setting: Setting, rounds: int, tell: Tell) -> Finding:
         raise CannotMeasure("the frame has no pixel with a profile")
     ids = np.asarray(setting.frame.profile_id)
     rows: list[Mapping[str, Any]] = []
-    lean: dict[str, str] = {}
-    for profile_id, d in setting.profiles.items():
-        if d is not None and profile_id and (ids == profile_id).any():
-            own, chain = _of_profile(setting, profile_id, d, rounds, tell)
-            rows += [*own, *chain]
-            lean[str(profile_id)] = chain[-1]["feature"] if chain else ""
-    return Finding(tuple(_sentence(rows, number) for number in lean), tuple(rows), {"samples": SPP})
+    sentences = []
+    for number, d in setting.profiles.items():
+        if d is None or not number or not (ids == number).any():
+            continue
+        if not np.any(setting.reference[ids == number]):
+            sentences.append(f"profile {number}: not measured, it has no light")
+            continue
+        own = _of_profile(setting, number, d, rounds, tell)
+        rows += own
+        sentences.append(_sentence(own, number))
+    if not rows:
+        raise CannotMeasure("no profile of the frame has light")
+    return Finding(tuple(sentences), tuple(rows), {"samples": SPP})
 
 
-def _of_profile(setting: Setting, number: int, d: Any, rounds: int, tell: Tell):
-    """The rows of each feature, and those of what can be left out together."""
+def _of_profile(setting: Setting, number: int, d: Any, rounds: int, tell: Tell) -> list[dict[str, Any]]:
+    """The rows of each feature, and then those of what can be left out together."""
     every = features(setting)
-    known: dict[Way, Measured] = {}
+    known: dict[Way, Trials] = {}
     _measure_ways(setting, number, d, {w for f in every for w in (f.with_it, f.without)}, known, rounds, tell)
     single = [_row(number, f.name, f.is_default, known[f.with_it], known[f.without]) for f in every]
     # What loses least is left out first.
@@ -158,7 +164,7 @@ def _of_profile(setting: Setting, number: int, d: Any, rounds: int, tell: Tell):
         _row(number, " + ".join(f.name for f in group), True, known[every[0].with_it], known[way])
         for group, way in zip(groups, ways, strict=True)
     ]
-    return single, chain
+    return [*single, *chain]
 
 
 def _measure_ways(setting, number, d, ways, known, rounds, tell) -> None:
@@ -169,7 +175,7 @@ def _measure_ways(setting, number, d, ways, known, rounds, tell) -> None:
     new = [way for way in ordered if way not in known]
     found = side_by_side([functools.partial(_errors, setting, number, d, way, seeds) for way in new])
     for way, errors in zip(new, found, strict=True):
-        known[way] = Measured(errors, np.empty(0))
+        known[way] = Trials(errors, np.empty(0))
     tell(f"scene_needs: profile {number}, times, {rounds} rounds")
     programs = {str(i): lambda way=way: _image(setting, number, d, way, 0) for i, way in enumerate(ordered)}
     times = timing.measure(programs, rounds, pause=0.02)
@@ -195,19 +201,15 @@ def _errors(setting: Setting, number: int, d: Any, way: Way, seeds: int) -> np.n
     own = np.asarray(setting.frame.profile_id) == number
     reference = setting.reference[own].astype(np.float64)
     power = np.mean(np.square(reference))
-    if not power > 0:
-        raise CannotMeasure(f"profile {number} has no light")
     images = (np.asarray(_image(setting, number, d, way, seed))[own] for seed in range(seeds))
     return np.array([np.sqrt(np.mean(np.square(image - reference)) / power) for image in images])
 
 
-def _row(number: int, name: str, is_default: bool, with_it: Measured, without: Measured) -> dict[str, Any]:
+def _row(number: int, name: str, is_default: bool, with_it: Trials, without: Trials) -> dict[str, Any]:
     loss = without.errors - with_it.errors
     # Half a 95 % interval of the mean over seeds.
     noise = stats.t.ppf(0.975, len(loss) - 1) * np.std(loss, ddof=1) / np.sqrt(len(loss))
-    rounds = min(len(with_it.seconds), len(without.seconds))
-    ratios = with_it.seconds[:rounds] / without.seconds[:rounds]
-    low, ratio, high = timing.median_and_interval(ratios)
+    low, ratio, high = timing.median_and_interval(with_it.seconds / without.seconds)
     row = {
         "profile": number,
         "feature": name,
@@ -244,9 +246,8 @@ def _verdict(row: Mapping[str, Any]) -> str:
     return undecided
 
 
-def _sentence(rows: Sequence[Mapping[str, Any]], number: str) -> str:
-    own = [row for row in rows if str(row["profile"]) == number]
-    free = [row for row in own if row["verdict"].startswith("can be compiled away")]
+def _sentence(rows: Sequence[Mapping[str, Any]], number: int) -> str:
+    free = [row for row in rows if row["verdict"].startswith("can be compiled away")]
     if not free:
         return f"profile {number}: needs all that the default does"
     # The longest of the chain is what can go at once.
